@@ -27,6 +27,7 @@ Reference: foerstner1979; patterson1971.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -133,12 +134,12 @@ class Components:
     Attributes:
         scales: s_g, (n_groups,).
         shared: tau_j, (n_joints,); 0 without a shared error.
-        log_likelihood: Restricted log-likelihood, up to a constant.
+        log_likelihood: Function that returns the restricted log-likelihood, up to a constant.
     """
 
     scales: FloatArray
     shared: FloatArray
-    log_likelihood: float
+    log_likelihood: Callable[[], float]
 
 
 def find_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Components:
@@ -176,11 +177,15 @@ def find_scales(model: LinearModel, start: FloatArray, sought: BoolArray) -> Com
             break
     freedom_left = int(np.sum(counts)) - known.root.shape[1] + float(np.sum(model.prior.times(known.root) ** 2))
     require_freedom(freedom_left, int(np.sum(counts)))
-    now = scaled()
-    step = now.step()
-    cost = float(np.sum((now.jacobian @ step + now.residuals) ** 2)) + _prior_cost(model, step)
-    determinant = 2.0 * float(np.sum(counts * np.log(scales)))
-    return Components(scales, np.zeros(0), -0.5 * (determinant + now.posterior_information.log_determinant + cost))
+
+    def log_likelihood() -> float:
+        now = scaled()
+        step = now.step()
+        cost = float(np.sum((now.jacobian @ step + now.residuals) ** 2)) + _prior_cost(model, step)
+        determinant = 2.0 * float(np.sum(counts * np.log(scales)))
+        return -0.5 * (determinant + now.posterior_information.log_determinant + cost)
+
+    return Components(scales, np.zeros(0), log_likelihood)
 
 
 def find_components(
@@ -218,7 +223,7 @@ def find_components(
         return without
     guess = 0.5 * level / np.maximum(sizes, 1e-300) / np.sqrt(np.sum(new))
     tried = _with_shared(model, without.scales, sought, np.where(new, guess, without.shared), columns, block)
-    earned = 2.0 * (tried.log_likelihood - without.log_likelihood) > needed
+    earned = 2.0 * (tried.log_likelihood() - without.log_likelihood()) > needed
     exact = np.any(tried.scales[sought] < EXACT)  # copies of one reading share all of their error
     return tried if earned and not exact else without
 
@@ -271,7 +276,7 @@ def _with_shared(
         scales, tau = np.maximum(scales * change, EXACT / 10), np.where(gone, 0.0, tau * growth)
         if np.all(np.abs(change - 1.0) <= 10 * _SETTLED) and np.all(np.abs(growth - 1.0) <= _CONVERGED):
             break
-    return Components(scales, tau, likelihood)
+    return Components(scales, tau, lambda: likelihood)
 
 
 def _solve_by_cholesky(model: LinearModel, rows: FloatArray) -> tuple[Information, FloatArray]:

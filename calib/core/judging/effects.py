@@ -51,7 +51,7 @@ SLIPS = 15
 _ROUNDING = 1e-9  # part of its terms below which a sum is 0
 _SAME = 1e-6  # cycles that rounding may add
 _ON_GRID = 0.99  # a wave of length 1 is the same at all visits if its mean is longer than this
-_VISITS_LOOKED_AT = 256
+_LIKELY, _VISITS_LOOKED_AT = 0.9, 32  # it may be if its mean over so many visits is longer than this
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +82,47 @@ class EffectSetting:
         return self.whiten(self.fit.joint_derivative)
 
     @cached_property
+    def frame_derivative(self) -> dict[str, FloatArray]:
+        """Changes of the readings of each instrument as in `frame_columns`, (n, n_rows, 10) [SI]."""
+        return _frame_derivative(self)
+
+    @cached_property
     def frame_columns(self) -> FloatArray:
         """Changes of the rows for shifts and turns of the measurement frame, and for its lengths, (n_rows, 10)."""
-        return self.whiten(_frame_columns(self))
+        return self.whiten(self.frame_derivative)
+
+    @cached_property
+    def own_scales(self) -> dict[str, FloatArray]:
+        """Change of the rows if one of several instruments reads lengths too long, (n_rows, 1), by its name.
+
+        Other readings than lengths are too large from their middle: pixels of a lens with another focal length.
+        """
+        if len(self.data.readings) == 1:  # that is a scale of all lengths
+            return {}
+        changes = {name: -columns[:, :, 6:7] for name, columns in self.frame_derivative.items()}
+        for name, readings in self.data.readings.items():
+            lengths = self.fit.robot.instrument(name).parts[0].dimension == "length" and np.any(changes[name])
+            if not lengths and readings.values.shape == changes[name].shape[:2]:
+                changes[name] = np.nan_to_num(np.nanmean(readings.values, axis=0) - readings.values)[:, :, None]
+        shown = [name for name, columns in changes.items() if np.any(columns)]
+        return {name: self.whiten({other: (other == name) * changes[other] for other in changes}) for name in shown}
+
+    @cached_property
+    def moved_targets(self) -> dict[str, list[FloatArray]]:
+        """Changes of the rows if a target moves along the axes of a link, (n_rows, 3), by target.
+
+        The first link is the target's own; the others are those behind each joint that does not move the target.
+        """
+        return {target: _moved_target(self, target) for target in dict.fromkeys(t for _, t, _ in _seen_targets(self))}
+
+    @cached_property
+    def effects(self) -> tuple[Effects, ...]:
+        """Every effect."""
+        return tuple(
+            effect
+            for some in (_frame_effects, _instrument_effects, _target_effects, _joint_effects)
+            for effect in some(self)
+        )
 
     def sizes(self, rows: FloatArray) -> FloatArray:
         """Return the root mean square of whitened rows (n_rows, k) over readings of each group, (n_groups, k) [SI]."""
@@ -206,25 +244,12 @@ def wave_orders(phase: FloatArray) -> range:
     if reach == 0:
         return range(0)
     few = phase[:: len(phase) // _VISITS_LOOKED_AT + 1]
-    same = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=0)) > _ON_GRID
+    same = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=0)) > _LIKELY
     same[: int(np.ceil(TURN / reach - _SAME)) - 1] = False  # less than one cycle
     likely = (np.flatnonzero(same) + 1).tolist()
     grid = next((order for order in likely if abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID), 2 * ORDERS.stop)
     stop = min(grid // 2 + 1, ORDERS.stop)
     return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), stop), stop)
-
-
-def effects(setting: EffectSetting) -> Iterator[Effects]:
-    """Yield every effect."""
-    yield from _frame_effects(setting)
-    yield from _instrument_effects(setting)
-    yield from _target_effects(setting)
-    yield from _joint_effects(setting)
-
-
-def scale(setting: EffectSetting) -> FloatArray:
-    """Return the change of the rows if every length is read too long, (n_rows, 1), for a relative error of 1."""
-    return scales(setting)[:, :1]
 
 
 def scales(setting: EffectSetting) -> FloatArray:
@@ -255,20 +280,6 @@ def constants(setting: EffectSetting) -> Iterator[tuple[str, int, FloatArray]]:
             yield name, group, setting.whiten(arrays)
 
 
-def own_scales(setting: EffectSetting) -> dict[str, FloatArray]:
-    """Return the change of the rows if one of several instruments reads lengths too long, (n_rows, 1), by its name.
-
-    Other readings than lengths are too large from their middle: pixels of a lens with another focal length.
-    """
-    changes = {name: -columns[:, :, 6:7] for name, columns in _frame_columns(setting).items()}
-    for name, readings in setting.data.readings.items():
-        lengths = setting.fit.robot.instrument(name).parts[0].dimension == "length" and np.any(changes[name])
-        if not lengths and readings.values.shape == changes[name].shape[:2]:
-            changes[name] = np.nan_to_num(np.nanmean(readings.values, axis=0) - readings.values)[:, :, None]
-    shown = [name for name, columns in changes.items() if len(changes) > 1 and np.any(columns)]
-    return {name: setting.whiten({other: (other == name) * changes[other] for other in changes}) for name in shown}
-
-
 def errors_in_links(setting: EffectSetting, residuals: FloatArray) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
     """Yield rows of the positions of each instrument, the axes of the target's link there, and errors along these.
 
@@ -281,7 +292,7 @@ def errors_in_links(setting: EffectSetting, residuals: FloatArray) -> Iterator[t
     for name, target, of_position in _seen_targets(setting):
         own = setting.fit.whitening.layout.rows_of(name)
         rows = np.arange(own.start, own.stop).reshape(-1, setting.fit.robot.instrument(name).n_rows)[:, of_position]
-        moved = setting.whiten(next(_moved_target(setting, target)))
+        moved = setting.moved_targets[target][0]
         rows = rows[np.all(np.linalg.norm(moved[rows], axis=2) > 0, axis=1)]
         axes = -moved[rows] / np.linalg.norm(moved[rows], axis=2)[:, :, None]
         yield rows, axes, np.einsum("nij,ni->nj", axes, residuals[rows])
@@ -296,7 +307,7 @@ def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
     shifts, turns = setting.frame_columns[:, :3], setting.frame_columns[:, 3:6]
     groups, visit = setting.fit.whitening.groups, setting.visit
     read = np.array([group.part.is_position or group.part.is_distance for group in groups])  # lengths themselves
-    lengths = scale(setting) * read[setting.fit.whitening.layout.group][:, None]
+    lengths = scales(setting)[:, :1] * read[setting.fit.whitening.layout.group][:, None]
     for axis, name in enumerate("xyz"):
         yield Effects(Kind.AXIS, name, shifts[:, axis : axis + 1], visit)
     in_course = _curves(setting.course)
@@ -309,7 +320,7 @@ def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
 
 def _instrument_effects(setting: EffectSetting) -> Iterator[Effects]:
     """Constants in the readings of each instrument, and what one of several reads too large by a factor."""
-    scaled = own_scales(setting)
+    scaled = setting.own_scales
     for name, group, columns in constants(setting):
         yield Effects(Kind.OFFSET, name, columns, setting.visit, group=group)
         if name in scaled and np.any(scaled[name][setting.fit.whitening.layout.group == group]):
@@ -324,8 +335,7 @@ def _target_effects(setting: EffectSetting) -> Iterator[Effects]:
     firsts = np.unique(np.linspace(0, len(order), SLIPS + 2)[1:-1].astype(np.intp))
     late = (rank[:, None] >= firsts).astype(float)[:, :, None]
     slips = [f"from {setting.data.labels[order[first]]} on" for first in firsts]
-    for target in dict.fromkeys(name for _, name, _ in _seen_targets(setting)):
-        own, *others = (setting.whiten(moved) for moved in _moved_target(setting, target))
+    for target, (own, *others) in setting.moved_targets.items():
         for joint, moved in zip(_other_joints(setting.fit.robot, target), others, strict=True):
             before = setting.fit.robot.mechanism.origin_names[joint - 1]
             yield Effects(Kind.LINK, target, moved, setting.visit, (before,))
@@ -361,7 +371,7 @@ def _position_rows(instrument: Instrument) -> list[int]:
     return [k for k, part in enumerate(instrument.part_of_row) if instrument.parts[part].is_position]
 
 
-def _frame_columns(setting: EffectSetting) -> dict[str, FloatArray]:
+def _frame_derivative(setting: EffectSetting) -> dict[str, FloatArray]:
     """Derivative of readings by shifts along x, y, z, turns about them, and sizes of lengths, (n, n_rows, 10) each.
 
     The sizes are those of all lengths (`length_derivative`), positions from the middle of the points, and of positions
@@ -440,11 +450,8 @@ def _other_joints(robot: Robot, target: str) -> list[int]:
     return [int(k) + 1 for k in np.flatnonzero(moving & (mechanism.support[frame] == 0))]
 
 
-def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, FloatArray]]:
-    """Yield the changes of all readings if a target moves along the axes of a link, (n, n_rows, 3) each.
-
-    The first link is the target's own; the others are those behind each joint that does not move the target.
-    """
+def _moved_target(setting: EffectSetting, target: str) -> list[FloatArray]:
+    """Return the entry of a target in `EffectSetting.moved_targets`."""
     robot, all_readings = setting.fit.robot, setting.data.readings
     seen = [(name, rows, robot.pairs[name]) for name, own, rows in _seen_targets(setting) if own == target]
     links = [None, *_other_joints(robot, target)]
@@ -452,6 +459,7 @@ def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, Flo
         pair if link is None else replace(pair, b=link) for link in links for _, _, pairs in seen for pair in pairs
     ]
     poses = iter(relative_poses(robot.mechanism, setting.fit.configurations, tuple(frame_pairs)))
+    changes = []
     for _ in links:
         result: dict[str, FloatArray] = {
             name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()
@@ -459,7 +467,8 @@ def _moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, Flo
         for name, rows, pairs in seen:
             readings, turned = all_readings[name], np.stack([next(poses) for _ in pairs])[..., :3, :3]
             result[name][:, rows] = -turned[readings.pairs, readings.visits]
-        yield result
+        changes.append(setting.whiten(result))
+    return changes
 
 
 def _curves(values: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from calib.core.fitting.outliers import Outlier, outliers_of, readings_of_outlie
 from calib.core.fitting.settings import Settings
 from calib.core.judging import residual_patterns
 from calib.core.judging.effect_kinds import Kind, Pattern, Trait
-from calib.core.judging.effects import EffectSetting, effects
+from calib.core.judging.effects import EffectSetting
 from calib.core.judging.error_budget import ErrorBudget, error_budget, joint_causes
 from calib.core.judging.linear_fit import LinearFit
 from calib.core.numerics import linalg
@@ -148,7 +148,7 @@ def changes(fit: Fit) -> tuple[Pattern, ...]:
         return ()
     columns = [
         effect.columns(number)
-        for effect in effects(setting(fit))
+        for effect in setting(fit).effects
         if Trait.FOLLOWS_JOINTS in effect.kind.traits
         for number in range(len(effect.details))
     ]

@@ -41,7 +41,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.judging.effect_kinds import Family, Kind, Pattern, Trait
-from calib.core.judging.effects import Effects, EffectSetting, effects
+from calib.core.judging.effects import Effects, EffectSetting
 from calib.core.judging.linear_fit import ABSORBED, LinearFit
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, FALSE_ALARM
@@ -122,7 +122,7 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
     """Return the results of testing effects of some kinds, most significant first."""
     if residuals.factor * setting.noise_of(setting.first) < EXACT:
         return ()
-    tested = _tests(residuals, [effect for effect in effects(setting) if effect.kind in kinds])
+    tested = _tests(residuals, [effect for effect in setting.effects if effect.kind in kinds])
     times = dict.fromkeys(Family, 0)
     for tests in tested:
         times[tests.effects.kind.family] += len(Family) * len(tests.numbers)

@@ -15,7 +15,7 @@ from calib.core.base.words import joints_named, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.judging import findings
-from calib.core.judging.effects import constants, errors_in_links, gains, own_scales, scales
+from calib.core.judging.effects import constants, errors_in_links, gains, scales
 from calib.core.judging.reasons import Code, Reason
 from calib.core.judging.rules_noise import impossible
 from calib.core.numerics import linalg
@@ -120,7 +120,7 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     left, n_measured = _residuals_of_scales(fit)
     if not np.any(left[:, 0]):
         return
-    names = [*_SCALED_LENGTHS, *(f"readings of {name}" for name in own_scales(findings.setting(fit)))]
+    names = [*_SCALED_LENGTHS, *(f"readings of {name}" for name in findings.setting(fit).own_scales)]
     scales_noise = any(group.part.dimension == "length" for group in fit.whitening.groups)
     tried = [
         _cost_with(left[:, k : k + 1], left[:, -1], n_measured, is_scale=scales_noise and k == 0)
@@ -151,7 +151,7 @@ def _residuals_of_scales(fit: Fit) -> tuple[FloatArray, int]:
     """`_remaining_residuals` for scales (all lengths, each axis, each instrument), gains of joints, and constants."""
     setting = findings.setting(fit)
     others = [gains(setting), *(columns for _, _, columns in constants(setting))]
-    return _remaining_residuals(fit, np.hstack([scales(setting), *own_scales(setting).values(), *others]))
+    return _remaining_residuals(fit, np.hstack([scales(setting), *setting.own_scales.values(), *others]))
 
 
 def _scale_sentence(part: float) -> str:

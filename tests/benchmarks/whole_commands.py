@@ -175,7 +175,7 @@ def table(rounds, data=None):
     for command, runs in times.items():
         seconds, memory = min(runs)
         shown = f"{memory:.1f} GB" if str(MANY) in command else ""
-        files = f"{sizes[command] / 1e6:.2g} MB" if command in sizes else ""
+        files = f"{float(f'{sizes[command] / 1e6:.2g}'):g} MB" if command in sizes else ""
         yield f"| {command} | {seconds / unit:.1f} | {seconds:.1f} s | {shown} | {files} |"
 
 

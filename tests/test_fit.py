@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -246,3 +247,14 @@ def test_places_are_taken_over_from_a_robot_that_moves_alike_and_from_no_other()
     moved = arm.with_parameters({arm.parameters[0].name: arm.values[0] + 1e-6})
     assert reuse_placement(Problem.from_data(moved, data), *known) is None  # a micrometre elsewhere
     assert reuse_placement(Problem.from_data(arm, data.subset(np.arange(20))), *known) is None
+
+
+def test_a_fit_keeps_no_derivative_but_that_of_its_rows(arm):
+    """And, of few rows, their span; each takes a gigabyte of a million poses."""
+    data = calib.simulate(arm, arm.sample(3000, seed=1), 4e-5, 2)
+    calib.fit(arm, data)  # what is made once
+    tracemalloc.start()
+    made = calib.fit(arm, data)
+    kept = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert kept < 2.7 * made.rows.jacobian.nbytes

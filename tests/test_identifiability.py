@@ -14,7 +14,7 @@ from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
 from calib.core.robots.jacobian import linearise
 from calib.core.rows.candidates import assumed_sigma
-from calib.core.rows.determination import determination
+from calib.core.rows.determination import Determination, determination
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
@@ -206,15 +206,13 @@ def test_a_fit_on_an_unclear_rank_gets_a_check_and_says_so(tmp_path, monkeypatch
     made = fit(robot, calib.as_measurements(robot, q, robot.positions(q) + 2e-5 * np.sin(7 * q)[:, None]))
     assert "rank_unclear" not in [reason.code for reason in made.verdict.reasons]
     n = len(made.unknowns)
-    unclear = numerical_rank(np.diag([*np.ones(n - 1), 4e-9]))
-    doubtful = replace(made, determination=replace(made.determination, free=unclear, together=unclear))
+    every, nothing = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
+    unclear = Determination(np.diag([*np.ones(n - 1), 4e-9]), np.ones(n), every, nothing)
+    doubtful = replace(made, determination=unclear)
     assert doubtful.verdict.grade == "CHECK"
     assert "no clear gap" in next(r.text for r in doubtful.verdict.reasons if r.code == "rank_unclear")
     assert "No clear gap" in doubtful.report(verbose=True)
-    short = numerical_rank(np.diag([*np.ones(n - 2), 2e-9, 0.7e-9]))
-    monkeypatch.setattr(
-        "calib.core.fitting.pose_checks.determination",
-        lambda *columns: replace(made.determination, together=short),
-    )
+    short = Determination(np.diag([*np.ones(n - 2), 2e-9, 0.7e-9]), np.ones(n), every, nothing)
+    monkeypatch.setattr("calib.core.fitting.pose_checks.determination", lambda *columns: short)
     with pytest.raises(calib.NotIdentifiableError, match=r"1 is NOT determined.*no clear gap"):
         fit(robot, made.identification.data)

@@ -15,6 +15,7 @@ from test_term_choice import entries
 
 import calib
 from calib.core.base.threads import one_blas_thread
+from calib.core.fitting.terms.kind_model import KindModel
 from calib.core.fitting.unexplained import solve_beside_noise
 from calib.core.numerics.mixed_model import MixedModel
 from calib.core.numerics.mixed_rows import FLAT, MixedRows
@@ -56,6 +57,23 @@ def simulated(robot, shape, rng, *, n=60, size=SIZE, again=1):
     measured = np.repeat(np.arange(n), again)
     read = points[measured] + NOISE * rng.standard_normal((n * again, 3))
     return q[measured], read, q[n:], points[n:]
+
+
+def test_of_very_many_poses_only_those_that_sizes_are_found_from_are_observed(monkeypatch):
+    robot = example("arm")
+    fit = calib.fit(robot, calib.simulate(robot, robot.sample(700, seed=1), seed=2))
+    model, observed = KindModel(fit, (), fit.unknowns.scales), []
+    observe = calib.core.fitting.terms.kind_model.observe
+    monkeypatch.setattr(
+        "calib.core.fitting.terms.kind_model.observe",
+        lambda robot, poses, *others, **how: (
+            observed.append(len(poses.actuated)) or observe(robot, poses, *others, **how)
+        ),
+    )
+    read = model.informative_rows
+    rows = model.rows(read, fit.scales.groups, fit.scales.ratios, np.ones(1, dtype=bool))
+    assert observed == [350]
+    np.testing.assert_allclose(rows.columns, fit.rows.jacobian[read], rtol=1e-9, atol=1e-9)
 
 
 def held(fit, q, points):

@@ -17,7 +17,7 @@ from calib.core.judging.better_or_worse import _margin_above_mean
 from calib.core.judging.blind_spots import unordered
 from calib.core.judging.next_step import next_step
 from calib.core.judging.rounded_joint_values import joint_steps, rounding
-from calib.core.judging.row_derivatives import scale
+from calib.core.judging.row_derivatives import scales
 from calib.core.judging.rules_reach import _covariance_given
 
 
@@ -333,7 +333,7 @@ def test_the_scale_that_shows_is_five_standard_deviations(arm, truth):
     column = -((points - points.mean(axis=0)) / SIGMA).reshape(-1, 1)
     both = np.hstack([fit.rows.jacobian, column])
     std = np.sqrt(np.linalg.inv(both.T @ both)[-1, -1]) * fit.sigma / SIGMA
-    assert findings.linear(fit).visible(scale(findings.setting(fit))) == pytest.approx(5 * std, rel=1e-3)
+    assert findings.linear(fit).visible(scales(findings.setting(fit))[:, :1]) == pytest.approx(5 * std, rel=1e-3)
 
 
 def test_rows_that_look_shuffled_are_named_unless_they_have_a_time(prior_arm):

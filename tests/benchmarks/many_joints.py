@@ -7,14 +7,13 @@ The chain is simulated: origins that are off, a once-a-turn error of each joint,
 """
 
 import argparse
-import resource
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from timing import least
+from timing import least, peak_memory
 
 import calib
 
@@ -73,13 +72,12 @@ def table(n, n_poses):
     chosen = time.process_time()
     grade = fit.verdict.grade
     done = time.process_time()
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     terms = ", ".join(f"{trial.term} {trial.size:.3f}" for trial in fit.terms.trials if trial.added)
     yield "| joints | poses | without terms | `--terms auto` | verdict | memory | terms |"
     yield "|---:|---:|---:|---:|---:|---:|---|"
     yield (
         f"| {n} | {n_poses} | {plain:.1f} s | {chosen - start:.1f} s | {done - chosen:.1f} s ({grade})"
-        f" | {memory:.2f} GB | {terms} |"
+        f" | {peak_memory():.2f} GB | {terms} |"
     )
 
 

@@ -17,6 +17,7 @@ import growth
 import numpy as np
 import pinocchio as pin
 import scipy
+import shares
 import waiting
 import whole_commands
 from hand_written import Arm, fit
@@ -122,11 +123,13 @@ def fits(problems, rounds):
             hand=lambda arm=arm, data=data, measured=measured, sigma=sigma: fit(arm, data.joints, measured, sigma),
             ours=lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma),
             compiled=fast(lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma)),
+            judged=lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma).verdict,
             told=lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma).report(),
         )
-        ours, quick, told = (ratio(taken[key], taken["hand"]) for key in ("ours", "compiled", "told"))
+        parts = ("ours", "compiled", "judged", "told")
+        ours, quick, judged, told = (ratio(taken[key], taken["hand"]) for key in parts)
         quick = quick if NUMBA else "-"
-        rows.append((name, len(data), len(result.unknowns), ours, quick, told, sum(counts.values()), hand))
+        rows.append((name, len(data), len(result.unknowns), ours, quick, judged, told, sum(counts.values()), hand))
     return rows
 
 
@@ -185,10 +188,15 @@ The work called *both* above for three robots with loops, after a smaller step o
 statistics. It shares no code with `calib` and reaches the same minimum: the sums of squares agree to a millionth.
 `calib.fit` also judges data, rank and convergence, and computes covariances, intervals and errors.
 
-| arm | poses | unknowns | fit over hand-written | with `fast` | with verdict, report | evaluations | hand-written |
-|---|---:|---:|---:|---:|---:|---:|---:|"""
+| arm | poses | unknowns | fit over hand-written | with `fast` | with verdict | and report | evaluations | its own |
+|---|---:|---:|---:|---:|---:|---:|---:|---:|"""
     for row in fits(robots, rounds):
         yield f"| {' | '.join(map(str, row))} |"
+    yield """
+Where the time of a small fit and its verdict goes, as parts of both together (this table alone:
+`python tests/benchmarks/shares.py --data FOLDER`):
+"""
+    yield from shares.table(folder, 2 * rounds)
     alone, *drawn = studies(draws, max(rounds // 10, 1))
     yield f"""
 ## Many calibrations

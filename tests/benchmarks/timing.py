@@ -1,6 +1,8 @@
-"""Processor time of pieces of work that are run in turns."""
+"""Processor time of pieces of work that are run in turns, and memory."""
 
+import re
 import time
+from pathlib import Path
 
 from calib.core.base.threads import one_blas_thread
 from calib.core.robots.acceleration import compile_kinematics
@@ -32,3 +34,8 @@ def fast(function):
             return function()
 
     return run
+
+
+def peak_memory():
+    """Most memory that this program has taken [GB]; `ru_maxrss` may be that of the program which started it."""
+    return int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1]) / 1e6

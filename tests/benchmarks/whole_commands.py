@@ -34,6 +34,14 @@ from calib.core.robots.acceleration import compile_kinematics
 with compile_kinematics():
     calib.fit(*sys.argv[1:])
 """
+MEASURE = """
+import os, sys
+quiet = [(os.POSIX_SPAWN_OPEN, of, os.devnull, os.O_WRONLY, 0) for of in (1, 2)]
+child = os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ, file_actions=quiet)
+_, status, usage = os.wait4(child, 0)
+print(os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, usage.ru_maxrss)
+"""
+"""A small program between this one and the command, whose memory counts as that of the command."""
 PROGRAMS = {"calib": ["-m", "calib"], "medrue": ["-c", "from medrue.cli import main; main()"]}
 
 
@@ -42,13 +50,11 @@ def taken(arguments, folder):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # what is compiled stays, as it does for users
     environment |= {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
-    process = subprocess.Popen(
-        [sys.executable, *arguments], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    assert process.returncode == 0, arguments
-    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1e6
+    measured = [sys.executable, "-S", "-c", MEASURE, sys.executable, *arguments]
+    done = subprocess.run(measured, cwd=folder, env=environment, capture_output=True, text=True, check=True)
+    code, seconds, memory = done.stdout.split()
+    assert code == "0", arguments
+    return float(seconds), float(memory) / 1e6
 
 
 def some_rows(source, path, n=30):
@@ -68,7 +74,7 @@ def joint_columns(robot, q):
 
 
 def written(path, robot, parts):
-    """Write joint values part by part: the memory of this program counts as that of the commands."""
+    """Write joint values part by part."""
     with path.open("w") as file:
         for k, q in enumerate(parts):
             text = format_table(list(joint_columns(robot, q)))
@@ -153,26 +159,23 @@ def table(rounds, data=None):
         folder = Path(name)
         commands = prepared(folder, data)
         taken(["-m", "compileall", "-q", *(str(ROOT / package) for package in ("calib", "viz", "medrue"))], folder)
-        times = {None: []} | {command: [] for command in commands}
+        times, sizes = {None: []} | {command: [] for command in commands}, {}
         for turn in range(rounds):
             for command in times:
                 if turn == 0 or command is None or (str(MANY) not in command and "medrue" not in command):
                     program = [] if command is None else PROGRAMS[command[1:].split()[0]]
-                    times[command].append(taken([*program, *commands.get(command, IMPORTS)], folder))
-        sizes = {
-            command: sum(file.stat().st_size for file in (folder / arguments[arguments.index("--out") + 1]).rglob("*"))
-            for command, arguments in commands.items()
-            if arguments[0] == "fit"
-        }
+                    arguments = commands.get(command, IMPORTS)
+                    times[command].append(taken([*program, *arguments], folder))
+                    if arguments[0] == "fit":
+                        written = (folder / arguments[arguments.index("--out") + 1]).rglob("*")
+                        sizes[command] = sum(file.stat().st_size for file in written)
     unit = min(times.pop(None))[0]
     yield "| command | over importing the libraries | processor time | memory | files |"
     yield "|---|---:|---:|---:|---:|"
     for command, runs in times.items():
         seconds, memory = min(runs)
-        shown = (
-            f"{memory:.1f} GB" if str(MANY) in command else ""
-        )  # else it may be that of this program before the start
-        files = f"{sizes[command] / 1e6:.2g} MB" if command in sizes else ""
+        shown = f"{memory:.1f} GB" if str(MANY) in command else ""
+        files = f"{float(f'{sizes[command] / 1e6:.2g}'):g} MB" if command in sizes else ""
         yield f"| {command} | {seconds / unit:.1f} | {seconds:.1f} s | {shown} | {files} |"
 
 

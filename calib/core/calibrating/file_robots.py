@@ -95,7 +95,9 @@ def _refit(
         intervals: Whether its intervals are used.
     """
     data, validation = fit.identification.data, None if fit.validation is None else fit.validation.data
-    nearby = WarmStart.from_fit(fit) if intervals else WarmStart.without_intervals(robot, fit)
+    nearby = WarmStart.from_fit(fit)
+    if not intervals:
+        nearby = replace(WarmStart.without_intervals(robot, fit), free_alone=True)
     if signs is not None and np.any(signs < 0):
         data = replace(data, joints=signs * data.joints)
         validation = None if validation is None else replace(validation, joints=signs * validation.joints)

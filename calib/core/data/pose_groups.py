@@ -69,11 +69,12 @@ def _rows_by_pose(joints: FloatArray, by_name: IntArray) -> tuple[IntArray, IntA
 
     A pose without repeats is a group of one row.
     """
-    by_joints = pose_labels(joints)
+    by_joints, label = pose_labels(joints), by_name
     n = int(by_joints.max(initial=-1)) + 1
-    size = n + int(by_name.max(initial=-1)) + 1
-    graph = scipy.sparse.coo_array((np.ones(len(joints)), (by_joints, n + by_name)), shape=(size, size))
-    label: IntArray = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][by_joints]
+    if n < len(joints):  # some poses agree in their joint values
+        size = n + int(by_name.max(initial=-1)) + 1
+        graph = scipy.sparse.coo_array((np.ones(len(joints)), (by_joints, n + by_name)), shape=(size, size))
+        label = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][by_joints]
     _, first, number = np.unique(label, return_index=True, return_inverse=True)
     order = np.argsort(first[number.reshape(-1)], kind="stable")
     sizes = np.bincount(number.reshape(-1))[np.argsort(first)]

@@ -67,7 +67,7 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     if not n_held:
         return squares
     problem, final, times = _problem_at_some_poses(problem, final)
-    jacobian = np.sqrt(times) * problem.rows(final, groups).jacobian
+    jacobian = rows.jacobian if times == 1.0 else np.sqrt(times) * problem.rows(final, groups).jacobian
     known, columns = information(jacobian, rows.prior.rows), problem.unknowns.select(own)
     covariance, here = known.covariance, jacobian[:, own].T @ jacobian
     for i in range(n_held):

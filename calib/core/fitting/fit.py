@@ -61,6 +61,7 @@ class WarmStart:
         placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]
             by instrument.
         whitening: Whitening of the same readings, if they are kept; it takes as much memory as they do.
+        free_alone: Whether ranks of held parameters are not used.
     """
 
     names: tuple[str, ...] = ()
@@ -69,6 +70,7 @@ class WarmStart:
     passive: FloatArray | None = None
     placed: tuple[Robot, Mapping[str, FloatArray]] | None = None
     whitening: Whitening | None = None
+    free_alone: bool = False
 
     @staticmethod
     def from_fit(fit: Fit) -> WarmStart:
@@ -78,10 +80,11 @@ class WarmStart:
 
     @staticmethod
     def without_intervals(robot: Robot, fit: Fit | None = None) -> WarmStart:
-        """Return start values for a fit of this robot without intervals, from another fit if given."""
+        """Return start values for a fit of this robot for its values alone, from another fit if given."""
         names = tuple(parameter.name for parameter in robot.parameters)
         nothing = BeyondLinear(partial(np.zeros, len(names)))
-        return replace(WarmStart() if fit is None else WarmStart.from_fit(fit), names=names, beyond_linear=nothing)
+        start = WarmStart() if fit is None else WarmStart.from_fit(fit)
+        return replace(start, names=names, beyond_linear=nothing)
 
     def second_order(self, names: Sequence[str]) -> BeyondLinear | None:
         """Return `beyond_linear` of some parameters; None if it is unknown for any of them."""
@@ -168,7 +171,7 @@ def minimum_of(
     start = start or place(problem)
     steps.advance()
     begin = reset_unseen(problem, start)
-    determined = require_identifiable(problem, begin)  # before the solver, as `calib check` does
+    determined = require_identifiable(problem, begin, alone=nearby.free_alone)  # before the solver
     solved = solve_from(problem, begin, settings, workers, steps.advance)
     if not keeps_limits(data, solved.evaluation):
         solved = solve_from(replace(problem, limits=True), begin, settings, workers, steps.advance)

@@ -152,7 +152,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
     own = counts & np.array([not p.family for p in robot.parameters])  # families have priors
     parameters, free = [p for p, use in zip(robot.parameters, own, strict=True) if use], robot.is_free[own]
     determined = determination(_columns(problem, evaluation, own), parameters, free)
-    if determined.free.rank == 0:
+    if not np.any(determined.columns[:, free]):
         raise NotIdentifiableError(
             f"{problem.data.path}: no reading depends on any free parameter; measure something that moves with them"
         )

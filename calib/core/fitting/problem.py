@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays, hold
 from calib.core.base.errors import ComputationError
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import Readings
@@ -52,22 +52,31 @@ class Evaluation:
         configurations: Its configurations at the visits.
         readings: Readings of each instrument, by name.
         factors: Cache of `Problem.compressed`: unknowns, and the triangular factor of each group's rows for them.
+        whitened: Cache of `Problem.rows`: scales of the groups, unknowns, and the derivative of the rows by these.
     """
 
     robot: Robot
     configurations: Configurations
     readings: Mapping[str, Readings]
     factors: list[tuple[Unknowns, list[FloatArray]]] = field(default_factory=list)
+    whitened: list[tuple[FloatArray, Unknowns, FloatArray]] = field(default_factory=list)
 
     @cached_property
     def observed(self) -> dict[str, Observed]:
         """Residuals and derivatives of each instrument, by name."""
         return observe(self.robot, self.configurations, self.readings)
 
-    @property
+    @cached_property
     def residuals(self) -> dict[str, FloatArray]:
         """Predicted minus read, of each instrument, (n, n_rows) [SI]; NaN where a component was not read."""
         return {name: observed.residuals for name, observed in self.observed.items()}
+
+    def keep_whitened(self, groups: FloatArray, unknowns: Unknowns, columns: FloatArray) -> None:
+        """Keep the whitened derivative in place of that of the readings, which is computed again if it is used."""
+        hold(columns)
+        _ = self.residuals
+        self.whitened[:] = [(groups, unknowns, columns)]
+        vars(self).pop("observed", None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +211,9 @@ class Problem(ReadOnlyArrays):
             unknowns: Parameters of the columns; the free ones if not given.
         """
         chosen = self.unknowns if unknowns is None else unknowns
-        rows = self.whitening.rows(evaluation.observed, groups, chosen, evaluation.robot.values)
+        deviations = chosen.deviations(evaluation.robot.values)
+        columns, layout = self.derivative(evaluation, groups, chosen), self.whitening.layout
+        rows = Rows(self.residuals(evaluation, groups), columns, chosen.prior, deviations, layout)
         if any(known.has(chosen) for known, _ in evaluation.factors):
             rows.remember(self.compressed(evaluation, groups, chosen).factor)
         return rows
@@ -223,10 +234,13 @@ class Problem(ReadOnlyArrays):
         Returns:
             (n_rows, n_unknowns).
         """
-        columns = self.whitening.columns(evaluation.observed, groups, unknowns)
-        if weights is not None:
-            columns *= np.sqrt(weights)[self.whitening.layout.reading][:, None]
-        return columns
+        columns = next((kept for known, own, kept in evaluation.whitened if own is unknowns), None)
+        if columns is None:
+            columns = self.whitening.columns(evaluation.observed, groups, unknowns)
+        elif np.any(evaluation.whitened[0][0] != groups):
+            known = self.whitening.row_scale(evaluation.whitened[0][0])
+            columns = columns * (known / self.whitening.row_scale(groups))[:, None]
+        return columns if weights is None else columns * np.sqrt(weights)[self.whitening.layout.reading][:, None]
 
     def compressed(
         self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, rows: FloatArray | None = None
@@ -339,12 +353,16 @@ class _SolverRows:
         evaluation = self._evaluation(w)
         if evaluation is None:  # derivatives are requested only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
-        self.current, self._looked_at = evaluation, [(w, evaluation)]  # the others take memory
+        if evaluation is not self.current:
+            self.current.whitened.clear()  # it takes memory, as the other points do
+        self.current, self._looked_at = evaluation, [(w, evaluation)]
         problem, groups, unknowns = self._problem, self._groups, self._unknowns
         rows = problem.derivative(evaluation, groups, unknowns, self._weights)
         rows = rows if self._seen is None else self._seen.combine(rows)
         if self._weights is not None or self._seen is not None:
             return RowStack(rows, self._prior)
+        if unknowns is problem.unknowns:
+            evaluation.keep_whitened(groups, unknowns, rows)
         return RowStack(rows, self._prior, lambda: problem.compressed(evaluation, groups, unknowns, rows).factor)
 
 

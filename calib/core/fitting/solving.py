@@ -262,7 +262,7 @@ def uncertainty_at(
     factors = robust or find_factors(rows.residuals, span, layout.group, len(layout.groups), problem.confirmed_freedom)
     if beyond_linear is None:
         beyond_linear = BeyondLinear(
-            partial(mean_square_beyond_linear, problem, solved.evaluation, rows, solved.groups)
+            partial(mean_square_beyond_linear, problem, replace(solved.evaluation), rows, solved.groups)
         )
     uncertainty = statistics(
         span,

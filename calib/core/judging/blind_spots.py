@@ -14,7 +14,7 @@ from calib.core.judging import findings
 from calib.core.judging.effect_kinds import Trait
 from calib.core.judging.error_budget import ENOUGH_REPEATS
 from calib.core.judging.repeatability import repeatability
-from calib.core.judging.row_derivatives import has_time, scale
+from calib.core.judging.row_derivatives import has_time, scales
 from calib.core.judging.rules_reach import terms_beyond
 from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
@@ -40,7 +40,7 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
 
 def _scale(fit: Fit) -> Iterator[str]:
     """Line on an error of all lengths (an instrument's scale, heat) that the measurements would not show."""
-    column = scale(findings.setting(fit))
+    column = scales(findings.setting(fit))[:, :1]
     if not np.any(column):
         return
     linear = findings.linear(fit)

@@ -31,17 +31,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.memoize import memoize
 from calib.core.base.words import count_noun
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.judging.effect_kinds import Kind
 from calib.core.judging.row_derivatives import (
     EffectSetting,
     constants,
-    moved_target,
+    moved_targets,
     other_joints,
     own_scales,
-    scale,
-    seen_targets,
+    scales,
 )
 from calib.core.robots.terms.periodic import TURN
 
@@ -51,7 +51,7 @@ SLIPS = 15
 """Number of places in the course of the measurement at which a slip of a target is tested."""
 _SAME = 1e-6  # cycles that rounding may add
 _ON_GRID = 0.99  # a wave of length 1 is the same at all visits if its mean is longer than this
-_VISITS_LOOKED_AT = 256
+_LIKELY, _VISITS_LOOKED_AT = 0.9, 32  # it may be if its mean over so many visits is longer than this
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def wave_orders(phase: FloatArray) -> range:
     if reach == 0:
         return range(0)
     few = phase[:: len(phase) // _VISITS_LOOKED_AT + 1]
-    same = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=0)) > _ON_GRID
+    same = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=0)) > _LIKELY
     same[: int(np.ceil(TURN / reach - _SAME)) - 1] = False  # less than one cycle
     likely = (np.flatnonzero(same) + 1).tolist()
     grid = next((order for order in likely if abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID), 2 * ORDERS.stop)
@@ -148,19 +148,18 @@ def wave_orders(phase: FloatArray) -> range:
     return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), stop), stop)
 
 
-def effects(setting: EffectSetting) -> Iterator[Effects]:
-    """Yield every effect."""
-    yield from _frame_effects(setting)
-    yield from _instrument_effects(setting)
-    yield from _target_effects(setting)
-    yield from _joint_effects(setting)
+@memoize
+def effects(setting: EffectSetting) -> tuple[Effects, ...]:
+    """Return every effect."""
+    every = (_frame_effects, _instrument_effects, _target_effects, _joint_effects)
+    return tuple(effect for some in every for effect in some(setting))
 
 
 def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
     shifts, turns = setting.frame_columns[:, :3], setting.frame_columns[:, 3:6]
     groups, visit = setting.fit.whitening.groups, setting.visit
     read = np.array([group.part.is_position or group.part.is_distance for group in groups])  # lengths themselves
-    lengths = scale(setting) * read[setting.fit.whitening.layout.group][:, None]
+    lengths = scales(setting)[:, :1] * read[setting.fit.whitening.layout.group][:, None]
     for axis, name in enumerate("xyz"):
         yield Effects(Kind.AXIS, name, shifts[:, axis : axis + 1], visit)
     in_course = _curves(setting.course)
@@ -188,8 +187,7 @@ def _target_effects(setting: EffectSetting) -> Iterator[Effects]:
     firsts = np.unique(np.linspace(0, len(order), SLIPS + 2)[1:-1].astype(np.intp))
     late = (rank[:, None] >= firsts).astype(float)[:, :, None]
     slips = [f"from {setting.data.labels[order[first]]} on" for first in firsts]
-    for target in dict.fromkeys(name for _, name, _ in seen_targets(setting)):
-        own, *others = (setting.whiten(moved) for moved in moved_target(setting, target))
+    for target, (own, *others) in moved_targets(setting).items():
         for joint, moved in zip(other_joints(setting.fit.robot, target), others, strict=True):
             before = setting.fit.robot.mechanism.origin_names[joint - 1]
             yield Effects(Kind.LINK, target, moved, setting.visit, (before,))

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.memoize import memoize
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Comparison, FrameInstrument, Instrument, Part, Readings, View
@@ -51,7 +52,7 @@ class EffectSetting:
     @cached_property
     def frame_columns(self) -> FloatArray:
         """Changes of the rows for shifts and turns of the measurement frame, and for its lengths, (n_rows, 10)."""
-        return self.whiten(_frame_columns(self))
+        return self.whiten(_frame_derivative(self))
 
     def sizes(self, rows: FloatArray) -> FloatArray:
         """Return the root mean square of whitened rows (n_rows, k) over readings of each group, (n_groups, k) [SI]."""
@@ -87,11 +88,6 @@ def has_time(data: Poses) -> bool:
     return time is not None and bool(np.all(np.isfinite(time))) and float(np.ptp(time)) > 0
 
 
-def scale(setting: EffectSetting) -> FloatArray:
-    """Return the change of the rows if every length is read too long, (n_rows, 1), for a relative error of 1."""
-    return scales(setting)[:, :1]
-
-
 def scales(setting: EffectSetting) -> FloatArray:
     """Return the change of the rows if all lengths are read too long, or those along x, y or z, (n_rows, 4)."""
     return -setting.frame_columns[:, 6:]
@@ -107,6 +103,7 @@ def constants(setting: EffectSetting) -> Iterator[tuple[str, int, FloatArray]]:
             yield name, group, _whitened_alone(setting, name, -np.eye(len(rows))[None, :, rows])
 
 
+@memoize
 def own_scales(setting: EffectSetting) -> dict[tuple[str, int], FloatArray]:
     """Return the change of the rows if one instrument reads a quantity too large, (n_rows, 1), by its name and group.
 
@@ -114,7 +111,7 @@ def own_scales(setting: EffectSetting) -> dict[tuple[str, int], FloatArray]:
     others are those of several instruments: lengths, and what is too large from its middle, such as pixels of a lens
     with another focal length.
     """
-    lengths, readings, result = _frame_columns(setting), setting.data.readings, dict[tuple[str, int], FloatArray]()
+    lengths, readings, result = _frame_derivative(setting), setting.data.readings, dict[tuple[str, int], FloatArray]()
     for name, part, group, rows in _parts(setting):
         values, change = readings[name].values, -lengths[name][:, :, 6]
         if part.dimension == "angle" and setting.noise_of(group) < part.largest:
@@ -173,7 +170,7 @@ def errors_in_links(setting: EffectSetting, residuals: FloatArray) -> Iterator[t
     for name, target, of_position in seen_targets(setting):
         own = setting.fit.whitening.layout.rows_of(name)
         rows = np.arange(own.start, own.stop).reshape(-1, setting.fit.robot.instrument(name).n_rows)[:, of_position]
-        moved = setting.whiten(next(moved_target(setting, target)))
+        moved = moved_targets(setting)[target][0]
         rows = rows[np.all(np.linalg.norm(moved[rows], axis=2) > 0, axis=1)]
         axes = -moved[rows] / np.linalg.norm(moved[rows], axis=2)[:, :, None]
         yield rows, axes, np.einsum("nij,ni->nj", axes, residuals[rows])
@@ -189,7 +186,8 @@ def _position_rows(instrument: Instrument) -> list[int]:
     return [k for k, part in enumerate(instrument.part_of_row) if instrument.parts[part].is_position]
 
 
-def _frame_columns(setting: EffectSetting) -> dict[str, FloatArray]:
+@memoize
+def _frame_derivative(setting: EffectSetting) -> dict[str, FloatArray]:
     """Derivative of readings by shifts along x, y, z, turns about them, and sizes of lengths, (n, n_rows, 10) each.
 
     The sizes are those of all lengths (`length_derivative`), positions from the middle of the points, and of positions
@@ -268,11 +266,17 @@ def other_joints(robot: Robot, target: str) -> list[int]:
     return [int(k) + 1 for k in np.flatnonzero(moving & (mechanism.support[frame] == 0))]
 
 
-def moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, FloatArray]]:
-    """Yield the changes of all readings if a target moves along the axes of a link, (n, n_rows, 3) each.
+@memoize
+def moved_targets(setting: EffectSetting) -> dict[str, list[FloatArray]]:
+    """Return the changes of the rows if a target moves along the axes of a link, (n_rows, 3), by target.
 
     The first link is the target's own; the others are those behind each joint that does not move the target.
     """
+    return {target: _moved_target(setting, target) for target in dict.fromkeys(t for _, t, _ in seen_targets(setting))}
+
+
+def _moved_target(setting: EffectSetting, target: str) -> list[FloatArray]:
+    """Return the entry of a target in `moved_targets`."""
     robot, all_readings = setting.fit.robot, setting.data.readings
     seen = [(name, rows, robot.pairs[name]) for name, own, rows in seen_targets(setting) if own == target]
     links = [None, *other_joints(robot, target)]
@@ -280,6 +284,7 @@ def moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, Floa
         pair if link is None else replace(pair, b=link) for link in links for _, _, pairs in seen for pair in pairs
     ]
     poses = iter(relative_poses(robot.mechanism, setting.fit.configurations, tuple(frame_pairs)))
+    changes = []
     for _ in links:
         result: dict[str, FloatArray] = {
             name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()
@@ -287,4 +292,5 @@ def moved_target(setting: EffectSetting, target: str) -> Iterator[dict[str, Floa
         for name, rows, pairs in seen:
             readings, turned = all_readings[name], np.stack([next(poses) for _ in pairs])[..., :3, :3]
             result[name][:, rows] = -turned[readings.pairs, readings.visits]
-        yield result
+        changes.append(setting.whiten(result))
+    return changes

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import scipy
@@ -46,6 +47,7 @@ NO_EFFECT = 1e-7
 TIE = 2.0
 """Condition numbers within this factor of the smallest are equally good."""
 _DIGITS = 1e-6  # condition numbers with a smaller relative difference are the same
+_is_above = cache(lambda n_rows, n_columns: np.tri(n_columns, n_rows, dtype=bool).T)  # mask of the upper triangle
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +130,9 @@ def extend_reduced(factor: FloatArray, rows: FloatArray, right: FloatArray | Non
             more[above:, -1] = right[part]
         n = min(more.shape)
         block = min(n, _BLOCK)
-        factor = np.triu(scipy.linalg.lapack.dgeqrt(block, more, overwrite_a=1)[0][:n]) if n else more[:n]
+        if n:
+            more = scipy.linalg.lapack.dgeqrt(block, more, overwrite_a=1)[0]
+        factor = np.where(_is_above(n, more.shape[1]), more[:n], 0.0)
     return factor
 
 

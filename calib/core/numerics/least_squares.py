@@ -101,7 +101,8 @@ TOLERANCE = 1e-12
 """Promised decrease, relative to the cost, that ends the iteration: 1e-4 standard deviations at ten thousand rows."""
 _SMALL_STEP = 1e-12
 _ROUNDING = 10.0  # a step that did not lower the cost ends the iteration if it promised at most so many tolerances
-_KEPT = 8  # steps whose Jacobians are remembered
+_KEPT = 8  # steps whose Jacobians are remembered, together with
+_NUMBERS_KEPT = 1 << 25  # at most so many numbers
 _SHORTER = 0.25  # factor of the radius after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # the radius changes if more, or less, than this part of the promised decrease came
 _BEND = 0.5  # longest correction of a bend, as part of the length of its step
@@ -320,7 +321,8 @@ class _Iteration:
         else:
             promised = self.current.cost - self._promised
             self._radius = self._next_radius(trial, (self.current.cost - reached) / promised if promised > 0 else 0.0)
-            self._past = [*self._past, self.current][-_KEPT:]
+            count = min(_KEPT, _NUMBERS_KEPT // max(self.current.jacobian.rows.size, 1))
+            self._past = [*self._past, self.current][-count:] if count else []
         self.current = trial
         self._rescale(trial)
         return 0

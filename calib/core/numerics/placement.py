@@ -43,7 +43,7 @@ _TURNS = cross_matrices(np.eye(3))  # [e_k]x
 _RANK = 1e-9  # a link that turns less does not determine its point [rad]
 _OPEN = 1e-6  # singular values below this part of the largest leave a rotation open
 _POINT_WEIGHT, _TURN_WEIGHT = 1e-5, 1e-7  # weights of the distances to the guesses, relative to the measurements
-_STILL = 1e-11  # a descent ends with a smaller step [rad]
+_DESCENDED, _STILL = 1e-9, 1e-11  # a descent, and what finishes it, end with a smaller step [rad]
 _NEAR = 0.3  # rotations that differ by less are in one basin (norm of the difference)
 _ITERATIONS, _LAST_STEPS, _NOISE_ROUNDS = 80, 8, 20
 _RELATIVE, _ABSOLUTE = 1e-2, 1e-12  # the iteration of the noise ends at a smaller change: relative, and in m
@@ -107,9 +107,10 @@ def place(
     for point in points:
         _check(point, weights)
     system = _system(points, weights, guess, frame_known)
-    noise = 0.0
-    for _ in range(_NOISE_ROUNDS):
-        rotation = guess.rotation if frame_known else _best_rotation(system, noise, guess.rotation)
+    noise, rotation = 0.0, guess.rotation
+    for k in range(_NOISE_ROUNDS):
+        if not frame_known:
+            rotation = _best_rotation(system, noise, guess.rotation, rotation if k else None)
         moved = _eliminate_points(system, noise)[0] @ np.append(rotation, -1.0)
         solution = np.concatenate([moved, -rotation.ravel(), [1.0]])
         squares = float(np.sum((system.rows @ solution) ** 2))
@@ -214,20 +215,23 @@ def _eliminate_points(system: _System, noise: float, weak: float = 0.0) -> tuple
     return inverse @ coordinates, rows[:, n_free:] - left @ coordinates
 
 
-def _best_rotation(system: _System, noise: float, guess: FloatArray) -> FloatArray:
+def _best_rotation(system: _System, noise: float, guess: FloatArray, near: FloatArray | None) -> FloatArray:
     """Return the rotation (3, 3) with the smallest sum of squares, for a noise [m].
 
     Where the system leaves a rotation open, it stays near the `guess` (3, 3).
+
+    Args:
+        near: The rotation for a similar noise, where it is known, (3, 3).
     """
     _, searched = _eliminate_points(system, noise, _POINT_WEIGHT * system.weight)
     turn = _TURN_WEIGHT * system.weight * max(system.extent, _SMALLEST)
-    near = turn * np.column_stack([np.eye(9), guess.ravel()])
-    rows = reduce_rows(np.vstack([searched, near]))
+    to_guess = turn * np.column_stack([np.eye(9), guess.ravel()])
+    rows = reduce_rows(np.vstack([searched, to_guess]))
     left, values, right = linalg.svd(rows[:, :9], full_matrices=False)
     free = right.T @ (left.T @ rows[:, 9] / values)  # X of the module docstring
     u, _, v = linalg.svd(free.reshape(3, 3))
     u[:, 2] *= np.linalg.det(u @ v)
-    ends, squares = _descend(rows, (u @ v)[None])
+    ends, squares = _descend(rows, (u @ v if near is None else near)[None])
     if 2.0 * np.linalg.norm(rows[:, :9] @ (ends[0].ravel() - free)) > _NEAR * values[-1]:
         group = scipy.spatial.transform.Rotation.create_group("I").as_matrix()
         ends, squares = _descend(rows, np.concatenate([[guess], group]))
@@ -277,7 +281,7 @@ def _descend(rows: FloatArray, starts: FloatArray) -> tuple[FloatArray, FloatArr
         better = np.sum(trial_errors**2, axis=1) < np.sum(errors**2, axis=1)
         ends[moving[better]], last[moving[better]] = tried[better], trial_errors[better]
         damping[moving] *= np.where(better, 0.1, 10.0)
-        moving = moving[np.linalg.norm(steps, axis=1) >= _STILL]
+        moving = moving[np.linalg.norm(steps, axis=1) >= _DESCENDED]
         if len(moving) == 0:
             break
     return ends, np.sum(last**2, axis=1)

@@ -265,36 +265,6 @@ def _solve_outwards(
     return solutions.passive, solutions.slope, solutions.ok
 
 
-def follow_from_nearer(
-    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray
-) -> tuple[FloatArray, BoolArray]:
-    """Follow each of some closed poses from a closed pose nearer to home, all at once.
-
-    If all arrive at their known passive joints, all of them can be reached from home.
-
-    Args:
-        actuated: Actuated joints, (n, n_actuated) [m or rad].
-        passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
-
-    Returns:
-        Where they arrive, (n, n_passive), and which do, (n,).
-    """
-    home_p, _, home_ok = carry(mechanism, mode, mode.actuated[None], mode.passive[None])
-    if not home_ok[0]:
-        return passive, np.zeros(len(passive), dtype=bool)
-    joints, known = np.vstack([mode.actuated[None], actuated]), np.vstack([home_p, passive])
-    points = joints / mechanism.driven_scale
-    order = np.argsort(np.linalg.norm(points - points[0], axis=1), kind="stable")
-    parents, done = np.zeros(len(order), dtype=np.intp), 1
-    while done < len(order):
-        some = order[done : 2 * done]
-        parents[some] = order[scipy.spatial.cKDTree(points[order[:done]]).query(points[some])[1]]
-        done *= 2
-    parents = parents[1:]
-    arrived, _, ok = _continue(mechanism, mode, (joints[parents], known[parents]), actuated, _SMALLEST_PART)
-    return arrived, ok
-
-
 def _solve_from_nearest(
     mechanism: Mechanism,
     mode: AssemblyMode,

@@ -36,7 +36,7 @@ from calib.core.robots.closure import (
     scale_closure,
     singular_values,
 )
-from calib.core.robots.continuation import closing_tolerance, follow, follow_from_nearer, newton
+from calib.core.robots.continuation import carry, closing_tolerance, follow, newton
 from calib.core.robots.mechanism import Mechanism
 
 LIMIT_MARGIN = 1e-9
@@ -110,14 +110,19 @@ def close(
 
 
 def reached_from_home(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray) -> bool:
-    """Whether closed poses (n, n_actuated), (n, n_passive) can surely be reached from home; False if unknown."""
+    """Whether the loops close at home and at poses (n, n_actuated), (n, n_passive), all in the assembly mode of home.
+
+    A fit follows each pose from home at the nominal robot, and closes its loops at every step from there. So its poses
+    are reached from home if they are in the mode of home still, and if home can be carried over to its robot.
+    """
     if not mechanism.loops:
         return True
-    arrived, ok = follow_from_nearer(mechanism, mode, actuated, passive)
-    if not np.all(ok) or not np.all(are_within_limits(mechanism, passive)):
+    if not carry(mechanism, mode, mode.actuated[None], mode.passive[None])[2][0]:
         return False
+    arrived, _, _, ok = newton(mechanism, mode, actuated, passive, slopes=False)
     apart = (wrap_turns(mechanism, mode, arrived) - passive) / mechanism.passive_scale
-    return bool(np.max(np.abs(apart), initial=0.0) < _SAME_SOLUTION)
+    stays = np.max(np.abs(apart), initial=0.0) < _SAME_SOLUTION
+    return bool(np.all(ok) and stays and np.all(are_within_limits(mechanism, passive)))
 
 
 def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,23 +21,39 @@ from calib.core.numerics.identifiability import Rank, numerical_rank, reduce_row
 
 @dataclass(frozen=True, eq=False)
 class Determination(ReadOnlyArrays):
-    """Ranks of one set of poses.
+    """Ranks of one set of poses, each computed at first use.
 
     Attributes:
-        everything: Rank of all parameters, poses alone.
-        free: Rank of the free parameters, poses alone.
-        together: Rank of the free parameters, poses and priors.
         columns: Unit columns of all parameters, or their triangular factor, (n, n_parameters).
         lengths: Divisor of each column, (n_parameters,) [m per m or rad].
-        free_columns: Unit columns of the free parameters, and a row for each prior, (n, n_free).
+        is_free: Mask of the parameters that are not held, (n_parameters,).
+        has_prior: Mask of the free parameters with a prior, (n_free,).
     """
 
-    everything: Rank
-    free: Rank
-    together: Rank
     columns: FloatArray
     lengths: FloatArray
-    free_columns: FloatArray
+    is_free: BoolArray
+    has_prior: BoolArray
+
+    @cached_property
+    def everything(self) -> Rank:
+        """Rank of all parameters, poses alone."""
+        return numerical_rank(self.columns)
+
+    @cached_property
+    def free(self) -> Rank:
+        """Rank of the free parameters, poses alone."""
+        return self.everything if np.all(self.is_free) else numerical_rank(self.columns[:, self.is_free])
+
+    @cached_property
+    def together(self) -> Rank:
+        """Rank of the free parameters, poses and priors."""
+        return numerical_rank(self.free_columns) if np.any(self.has_prior) else self.free
+
+    @property
+    def free_columns(self) -> FloatArray:
+        """Unit columns of the free parameters, and a row for each prior, (n, n_free)."""
+        return np.vstack([self.columns[:, self.is_free], np.eye(len(self.has_prior))[self.has_prior]])
 
     def lines(self) -> list[str]:
         """Return sentences with both ranks of the poses alone, their gaps, and doubts where they are unclear."""
@@ -72,10 +89,5 @@ def determination(columns: FloatArray, parameters: Sequence[Parameter], free: Bo
         free: Mask of the parameters that are not held, (n_parameters,).
     """
     unit, lengths = unit_columns(columns)
-    unit = reduce_rows(unit)
     has_prior = np.array([p.prior for p, use in zip(parameters, free, strict=True) if use], dtype=bool)
-    together = np.vstack([unit[:, free], np.eye(len(has_prior))[has_prior]])
-    of_all = numerical_rank(unit)
-    of_free = of_all if np.all(free) else numerical_rank(unit[:, free])
-    with_priors = numerical_rank(together) if np.any(has_prior) else of_free
-    return Determination(of_all, of_free, with_priors, unit, lengths, together)
+    return Determination(reduce_rows(unit), lengths, free, has_prior)

@@ -246,7 +246,7 @@ def views_of_instruments(
     mechanism = robot.mechanism
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     pairs = tuple(pair for name in looks for pair in robot.pairs[name])
-    swept = kinematics.sweep(mechanism, joints, pairs)
+    swept = kinematics.sweep(mechanism, joints, pairs, poses_only=True)
     result: dict[str, View | FloatArray] = {}
     for name, readings in looks.items():
         instrument = robot.instrument(name)

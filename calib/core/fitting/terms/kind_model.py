@@ -27,6 +27,7 @@ from calib.core.robots.terms.term import TermSection
 from calib.core.rows.observed import observe
 from calib.core.rows.prediction import UndecidedTerms
 from calib.core.rows.unknowns import Unknowns
+from calib.core.rows.whitening import Whitening
 
 _POSES = 500  # number of poses from which sizes are found
 _LITTLE = 0.01  # directions of undecided terms that add less than this part of the largest variance are left out
@@ -97,15 +98,22 @@ class KindModel:
             stated: Mask of the groups whose noise is stated, (n_groups,).
         """
         fit, layout = self._fit, self._fit.whitening.layout
-        data, near = fit.identification.data, fit.configurations.passive
-        same = self.robot is fit.robot
-        poses = fit.configurations if same else self.robot.assemble(data.joints, near, data.labels, data.conditions)
+        data, whitening, places = fit.identification.data, fit.whitening, read
+        visits, used = np.arange(len(data)), np.ones(layout.n_readings, dtype=bool)
+        some = np.unique(layout.visit[layout.reading[read]])
+        looks = [readings.visits for readings in data.readings.values()]
+        if len(some) < len(data) and all(np.all(np.diff(v) >= 0) and np.any(np.isin(v, some)) for v in looks):
+            visits, used, data = some, np.isin(layout.visit, some), data.subset(some)  # others are not observed
+            whitening = Whitening(fit.robot, data, fit.sigma_given)
+            places = np.searchsorted(np.flatnonzero(used[layout.reading]), read)
+        near = fit.configurations.passive[visits]
+        poses = self.robot.assemble(data.joints, near, data.labels, data.conditions)
         observed = observe(self.robot, poses, data.readings, joints=True)
-        rows = fit.whitening.rows(observed, groups, self._unknowns, self.robot.values).with_weights(fit.weights)
-        by_joint = fit.whitening.joint_columns(observed, groups)
-        levers: FloatArray = np.sqrt(fit.weights)[layout.reading, None] * by_joint * fit.robot.mechanism.joint_scale
+        rows = whitening.rows(observed, groups, self._unknowns, self.robot.values).with_weights(fit.weights[used])
+        levers: FloatArray = whitening.joint_columns(observed, groups) * fit.robot.mechanism.joint_scale
+        levers *= np.sqrt(fit.weights[used])[whitening.layout.reading, None]
         return MixedRows.from_linear_problem(
-            rows.take_rows(read), self._family, stated, layout.pose_of_row[read], levers[read]
+            rows.take_rows(places), self._family, stated, layout.pose_of_row[read], levers[places]
         )
 
     def undecided(

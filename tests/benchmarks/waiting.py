@@ -72,7 +72,7 @@ def table(folder, rounds):
     yield "| work | over a fit of 84 poses | processor time |"
     yield "|---|---:|---:|"
     for name, seconds in taken.items():
-        yield f"| {name} | {seconds / unit:.2g} | {seconds:.2g} s |"
+        yield f"| {name} | {float(f'{seconds / unit:.2g}'):g} | {seconds:.2g} s |"
 
 
 if __name__ == "__main__":

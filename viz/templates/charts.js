@@ -141,7 +141,10 @@ class Chart {
       const figure = this.figure(panel, place.clientWidth);
       place.replaceChildren();
       place.addEventListener("pointermove", () => { figure.toolbar.buttons = "auto"; }, { once: true });
-      this.views.push(await Bokeh.Plotting.show(figure, place));
+      const view = await Bokeh.Plotting.show(figure, place);
+      const { primary } = view.canvas_view;
+      primary.clear = () => primary.ctx.clearRect(-1, -1, primary.bbox.width + 2, primary.bbox.height + 2); // Bokeh leaves half a pixel
+      this.views.push(view);
       await breath(0);
     }
     if (this.selection.poses.size) this.follow();
@@ -268,7 +271,7 @@ class Chart {
    */
   layer(figure, { kind, label, colour, ...columns }, own, ends) {
     const paint = !colour ? this.ink : this.dark ? lighter(colour) : colour;
-    const known = label ? { legend_label: label } : {};
+    const known = label && (columns.x || columns.y || []).length ? { legend_label: label } : {};
     if (kind === "line") {
       const overPoints = figure.renderers.some(({ glyph }) => glyph.type === "Scatter");
       if (overPoints) figure.line(columns.x, columns.y, { line_color: this.paper, line_width: 5 });

@@ -72,7 +72,11 @@ class Evaluation:
         return {name: observed.residuals for name, observed in self.observed.items()}
 
     def keep_whitened(self, groups: FloatArray, unknowns: Unknowns, columns: FloatArray) -> None:
-        """Keep the whitened derivative in place of that of the readings, which is computed again if it is used."""
+        """Keep the derivative of the rows (n_rows, n_unknowns) in place of that of the readings, computed when used.
+
+        Args:
+            groups: Scales of the groups that whiten it, (n_groups,).
+        """
         hold(columns)
         _ = self.residuals
         self.whitened[:] = [(groups, unknowns, columns)]

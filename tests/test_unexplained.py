@@ -71,7 +71,7 @@ def test_of_very_many_poses_only_those_that_sizes_are_found_from_are_observed(mo
         ),
     )
     read = model.informative_rows
-    rows = model.rows(read, fit.scales.groups, fit.scales.ratios, np.ones(1, dtype=bool))
+    rows = model.rows(read, fit.scales, np.ones(1, dtype=bool))
     assert observed == [350]
     np.testing.assert_allclose(rows.columns, fit.rows.jacobian[read], rtol=1e-9, atol=1e-9)
 

@@ -98,8 +98,8 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
 
 def check_shared_errors(fit: Fit) -> Iterator[Reason]:
     """Count poses whose readings share errors."""
-    statistics = fit.statistics
-    if statistics.shared_scatter is not None and statistics.interval_freedom < FEW_SHARED:
+    statistics, shared = fit.statistics, fit.statistics.shared_scatter
+    if shared is not None and shared.chance < UNLIKELY and statistics.interval_freedom < FEW_SHARED:
         yield Code.TOO_FEW_POSES.says(
             "too few poses: the readings of a pose share errors, so that intervals come from only"
             f" {statistics.interval_freedom:.1f} independent errors. Measure several times as many poses, not more"

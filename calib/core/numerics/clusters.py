@@ -39,6 +39,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
+from calib.core.numerics.chances import UNLIKELY
 from calib.core.numerics.tall import Span
 
 _OWN = 0.99  # if a block decides this part of a direction, the other blocks cannot predict it
@@ -56,6 +57,7 @@ class Scatter(ReadOnlyArrays):
         chance: Chance of a D at least this large from independent rows.
         freedom: Number of squares behind a direction of the core.
         total_freedom: Number of squares behind D.
+        level: A smaller chance says that the rows of a block share errors.
     """
 
     core: FloatArray
@@ -63,6 +65,7 @@ class Scatter(ReadOnlyArrays):
     chance: float
     freedom: float
     total_freedom: float
+    level: float = UNLIKELY
 
     def ratio_to(self, finer: Scatter) -> tuple[float, float]:
         """Return the ratio of this scatter to that of smaller blocks inside these, and its chance if both are alike."""

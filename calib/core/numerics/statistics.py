@@ -50,7 +50,6 @@ from numpy.typing import NDArray
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.base.threads import one_blas_thread
 from calib.core.numerics import linalg
-from calib.core.numerics.chances import UNLIKELY
 from calib.core.numerics.clusters import Scatter
 from calib.core.numerics.observability import Information
 from calib.core.numerics.prior import Prior
@@ -175,7 +174,7 @@ class Statistics(ReadOnlyArrays):
 
 
 def _scatter_beyond_chance(poses: Scatter | None) -> Scatter | None:
-    return poses if poses is not None and poses.ratio > 1.0 and poses.chance < UNLIKELY else None
+    return poses if poses is not None and poses.ratio > 1.0 and poses.chance < poses.level else None
 
 
 def status(

@@ -93,8 +93,9 @@ def scatter_lines(fit: Fit) -> list[str]:
     lines = []
     if fit.statistics.shared_scatter is not None:
         lines.append(
-            f"Readings of the same pose share errors: poses scatter {fit.statistics.shared_scatter.ratio:.2g} times as"
-            " much as independent readings would. Intervals include it"
+            "Readings of the same pose seem to share errors: poses scatter"
+            f" {fit.statistics.shared_scatter.ratio:.2g} times as much as independent readings would. Intervals include"
+            " it"
         )
     if fit.chi_square is not None:
         chi = fit.chi_square

@@ -511,6 +511,14 @@ def test_readings_show_the_error_that_was_fitted_to_a_joint(tmp_path):
     assert 0 < np.abs(apart).max() < 0.05
 
 
+def test_the_few_largest_errors_do_not_stretch_the_colours_over_the_workspace(fit):
+    (chart,) = (chart for chart in error_charts(fit, scene_of_fit(fit)) if chart.name == "planes")
+    sizes = 1e3 * np.linalg.norm(np.vstack([fit.identification.after["tool"], fit.validation.after["tool"]]), axis=1)
+    assert f"({np.quantile(sizes, 0.95):.3g} mm and more)" in chart.text
+    painted = [layer["colours"] for panel in chart.panels for layer in panel["layers"] if layer["kind"] == "points"]
+    assert all(colours.count("#fde725") == np.sum(sizes > np.quantile(sizes, 0.95)) for colours in painted)
+
+
 def test_offsets_of_joints_are_dials_and_say_their_interval():
     fit = five_bar_fit()
     drawn = dials(fit)

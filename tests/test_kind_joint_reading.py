@@ -157,7 +157,7 @@ def test_a_file_with_an_encoder_is_fitted_and_reported_in_degrees(tmp_path, run_
     run = run_calib("fit", robot.path, tmp_path / "data.csv", "--out", tmp_path / "out", "--verbose")
     assert run.code == 0, run.err
     assert "\nelbow.zero,0.0,165.8" in (tmp_path / "out" / "parameters.csv").read_text()
-    assert "mrad per axis (none was stated)" in run.out
+    assert "mrad (none was stated)" in run.out
 
 
 @pytest.mark.parametrize(

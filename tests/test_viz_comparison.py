@@ -59,6 +59,16 @@ def test_real_differences_are_marked_and_others_are_not(comparison):
     assert "noise is independent" in html
 
 
+def test_without_a_test_the_page_has_no_answer_but_the_note(comparison):
+    differences = tuple(dataclasses.replace(each, p_values=(np.nan,)) for each in comparison.differences)
+    pairs = (Pair(comparison.names, (), (), np.nan, tested=False),)
+    untested = dataclasses.replace(comparison, differences=differences, pairs=pairs)
+    html = comparison_page(untested, created=NOON).html
+    (answer,) = re.findall(r'<h2 id="answer">(.*?)</section>', html, re.S)
+    assert re.findall(r"<p.*?>(.*?)</p>", answer) == ["noise is independent"]
+    assert "marks" not in intervals(untested, untested.rank_differences()).text
+
+
 def test_errors_on_the_same_readings_are_drawn_where_there_are_any(comparison):
     html = comparison_page(comparison, created=NOON).html
     assert 'id="same-rows"' in html

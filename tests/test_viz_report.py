@@ -115,20 +115,24 @@ def test_outliers_are_listed_and_the_verdict_says_why():
     section = html[html.index('id="outliers"') :]
     assert re.search(r'<th scope="row">50</th><td class="left">identification</td>', section)
     assert "None was left out" in section
+    assert "leverage" not in html
     assert fit.verdict.grade == "CHECK"
     assert "Verdict: CHECK" in words_of(html)[:300]
     assert all(str(unbroken(reason.text)) in html for reason in fit.verdict.reasons)
     assert "Next: fit again without the outliers Robot and errors" in words_of(html)
-    assert "identification poses: pose 50 (an outlier), at x " in words_of(html)
+    assert "pose 50 (an outlier), at x " in words_of(html)
     others = len(fit.verdict.reasons) - 1
     assert re.search(rf"\b{others} more reasons? below", words_of(html))
 
 
 def test_outliers_that_were_left_out_are_listed_and_both_results_shown():
-    fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), exclude_outliers=True)
+    data = spoiled(measurements(range(0, 420, 5)))
+    data = dataclasses.replace(data, labels=tuple(f"a.csv, line {int(k) + 2} (pose {k})" for k in data.names))
+    fit = calib.fit(medrue_robot(), data, exclude_outliers=True)
     html = undrawn(fit)
-    assert re.search(r'<th scope="row">50</th><td class="left">left out</td>', html)
-    assert "with outliers, after 84" in words_of(html)
+    assert re.search(r'<th scope="row">50</th><td class="left">left out</td>.*>a\.csv, line 52</td></tr>', html)
+    assert "Left out as outliers : 1 of 84 readings." in words_of(html).split("Robot and errors")[0]
+    assert "fit pulled by outliers, after 84" in words_of(html)
 
 
 @pytest.mark.quick(0)
@@ -245,7 +249,7 @@ def test_page_one_says_where_it_is_worst_and_was_measured_and_the_annex_how_sure
     row = int(np.argmax(np.linalg.norm(validation.after["tool"], axis=1)))
     assert f"pose {validation.data.names[row]}, at x" in first
     assert millimetres(fit.validation_uncertainty.summary()["max"]) in annex
-    assert f"noise of one reading {millimetres(1e3 * fit.sigma)} mm" in annex
+    assert f"noise of one reading {millimetres(1e3 * fit.sigma)} mm per axis (" in annex
     assert "degrees of freedom" not in first
     assert "rank" not in first.lower()
     points = 1e3 * np.concatenate([errors.data.readings["tool"].values for errors in (fit.identification, validation)])
@@ -473,7 +477,7 @@ def test_the_page_alone_answers_ten_questions(fit, html):
         "how far off, before and after": r"[\d.]+ → [\d.]+ mm Position error \(RMS\) before and after calibration",
         "which joint is worst": rf"Worst joint (not determined, .*?: )?{worst[0].cause} [\d.]+ % ± [\d.]+ % .*;"
         rf" next {worst[1].cause}",
-        "where is it worst": rf"Largest error {millimetres(1e3 * np.linalg.norm(biggest))} mm .*? pose"
+        "where is it worst": rf"Largest error \(validation\) {millimetres(1e3 * np.linalg.norm(biggest))} mm: pose"
         rf" {fit.validation.data.names[at]}, at",
         "which reading is wrong": r"Outliers None: no point lies further off than noise explains",
         "what is next": rf"Next: {re.escape(following_words(fit, COMMAND))}",
@@ -511,6 +515,14 @@ def test_readings_show_the_error_that_was_fitted_to_a_joint(tmp_path):
     assert 0 < np.abs(apart).max() < 0.05
 
 
+def test_the_few_largest_errors_do_not_stretch_the_colours_over_the_workspace(fit):
+    (chart,) = (chart for chart in error_charts(fit, scene_of_fit(fit)) if chart.name == "planes")
+    sizes = 1e3 * np.linalg.norm(np.vstack([fit.identification.after["tool"], fit.validation.after["tool"]]), axis=1)
+    assert f"({np.quantile(sizes, 0.95):.3g} mm and more)" in chart.text
+    painted = [layer["colours"] for panel in chart.panels for layer in panel["layers"] if layer["kind"] == "points"]
+    assert all(colours.count("#fde725") == np.sum(sizes > np.quantile(sizes, 0.95)) for colours in painted)
+
+
 def test_offsets_of_joints_are_dials_and_say_their_interval():
     fit = five_bar_fit()
     drawn = dials(fit)
@@ -520,7 +532,8 @@ def test_offsets_of_joints_are_dials_and_say_their_interval():
         (needle,) = (layer for layer in panel["layers"] if layer["kind"] == "points")
         assert needle["texts"][0].startswith(f"{name}: {estimate.value - estimate.nominal:+.4f}")
         assert panel["bare"]
-    assert "Not to be typed in" in drawn.text
+        assert estimate.status not in ("prior", "held")
+    assert 'Offsets of status "prior" or "held" have no dial' in drawn.text
     assert {panel["title"].split()[0] for panel in drawn.panels} >= {"left_motor.rz", "right_motor.rz"}
 
 

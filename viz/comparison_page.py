@@ -103,12 +103,12 @@ def intervals(comparison: ResultComparison, ranked: list[Difference]) -> Chart |
             for d, value, reach, is_real in zip(known, values[k], half[k], real, strict=True)
         ]
         groups.append((name, MANY[k % len(MANY)], (values[k] - values[0]) / width, half[k] / width, texts))
+    marked = f"* marks a real difference to {comparison.names[0]}. " if comparison.tested_pairs() else ""
     names = [f"{d.name}{' *' if any(d.real) else ''}" for d in known]
     return Chart(
         "intervals",
-        "Which differences are real",
-        f"Parameters of the robot; * marks a real difference to {comparison.names[0]}. Overlapping intervals alone"
-        " decide nothing.",
+        "Differences of parameters",
+        f"{marked}Overlapping intervals alone decide nothing.",
         forest(names, groups, "difference to the first result [half widths of its 95 % interval]"),
         500,
     )

@@ -17,7 +17,7 @@ from viz.poses import EXCLUDED, VALIDATION
 from viz.reading_errors import ReadingErrors
 from viz.remarks import tolerance
 from viz.scene import ViewerJoint, ViewerScene
-from viz.scene_data import colours, rows_of
+from viz.scene_data import colours, ranges, rows_of
 
 _MM = PER_SI["length"]["mm"]
 _MEANS = 12  # places along a joint at which residuals are averaged
@@ -177,12 +177,11 @@ class _Part:
         known = np.flatnonzero(np.isfinite(places).all(axis=1) & np.isfinite(size))
         known = known[np.argsort(size[known], kind="stable")]  # the largest on top
         usual = ~self._rows.outlier[known]
-        ordinary = size[known[usual]]
-        highest = float(ordinary.max()) if len(ordinary) else 1.0
+        highest = self._scale * ranges({"after": self._rows.sizes("after")}, self._rows.outlier).get("after", [0, 1])[1]
         palette = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b, _ in colours().tolist()]
 
         def painted(values: FloatArray) -> list[str]:
-            return [palette[int(255 * min(1.0, value / max(highest, 1e-12)))] for value in values]
+            return [palette[int(255 * min(1.0, value / highest))] for value in values]
 
         panels = []
         for view, across, up, x, y in _views(places[known]):
@@ -195,7 +194,7 @@ class _Part:
             panels.append(panel(axis(f"{across} [mm]"), axis(f"{up} [mm]"), layers, title=view, equal=True))
         return Chart(
             *self._chart_name("planes", "Errors over the workspace, after calibration"),
-            f"From dark (0) to bright ({highest:.3g} {self._unit}; outliers above). A square shows the mean error of"
+            f"From dark (0) to bright ({highest:.3g} {self._unit} and more). A square shows the mean error of"
             " the poses in it, without outliers. No square: nothing was measured there.",
             tuple(panels),
         )

@@ -98,7 +98,7 @@ def dials(fit: Fit) -> Chart | None:
     text = (
         f"Straight up is nominal, plus is to the left; the needle is enlarged {turn:.0f} times, with its 95 %"
         " interval. Not to be typed in: these offsets belong to the whole model, and calib export writes those for a"
-        " controller. Joints whose own offset was not determined have no dial."
+        ' controller. Offsets of status "prior" or "held" have no dial.'
     )
     return Chart("dials", "Joint offsets", text, panels, 150)
 

@@ -37,6 +37,7 @@ _SHORT = {IDENTIFICATION: "fit", VALIDATION: "val", MEASURED: "meas", EXCLUDED: 
 _SHORT |= {PLANNED: "plan", COLLIDES: "hits"}
 _MM = PER_SI["length"]["mm"]
 _ELLIPSOID = 0.012  # of the scene's size: length of typical enlarged half axes at first
+_COLOURED = 0.95  # part of the errors that have colours of their own; larger ones share the last
 _EXACT = 1e-12  # [SI]: smallest range of colours, for errors of zero
 _MOST_AXES = 3  # largest number of shown components of an error
 
@@ -150,7 +151,8 @@ def certainty(scene: ViewerScene) -> dict[str, Any]:
 def ranges(sizes: Mapping[str, FloatArray], outlier: BoolArray) -> dict[str, list[float]]:
     """Return the errors [SI] at both ends of the colours: of each state (from zero), and of all (logarithmic).
 
-    Outliers do not stretch the colours and have the last colour, unless all rows are outliers.
+    The colours end at the 95 % quantile without outliers; larger errors have the last colour. If all rows are outliers,
+    it is theirs.
 
     Args:
         sizes: Sizes of the errors of each state, (n,) [SI]; NaN where unknown.
@@ -162,10 +164,10 @@ def ranges(sizes: Mapping[str, FloatArray], outlier: BoolArray) -> dict[str, lis
             continue
         usual = lengths[np.isfinite(lengths) & ~outlier]
         known.append(usual if len(usual) else lengths[np.isfinite(lengths)])
-        result[state] = [0.0, max(float(known[-1].max()), _EXACT)]
+        result[state] = [0.0, max(float(np.quantile(known[-1], _COLOURED)), _EXACT)]
     if known:
         everything = np.concatenate(known)
-        high = max(float(everything.max()), _EXACT)
+        high = max(high for _, high in result.values())
         positive = everything[everything > high * 1e-4]
         low = float(positive.min()) if len(positive) else high
         result["both"] = [low if low < high else high / 10, high]

@@ -245,7 +245,7 @@ class Panel {
     drawBar(document.getElementById("legend-bar"), this.scene.colourBytes);
     document.getElementById("legend-ticks").replaceChildren(...tickMarks(low, high, logarithmic));
     const beyond = Array.from({ length: this.table.n }, (_, row) => this.table.part[row] === part && this.table.error(state, row) > high).some(Boolean);
-    document.getElementById("legend-beyond").textContent = beyond ? "Larger errors have the last colour" : "";
+    document.getElementById("legend-beyond").textContent = beyond ? `Last colour: ${Number(high.toPrecision(3))} ${unit} and more` : "";
     const marks = [...groups.map(({ name, mark }) => [mark, name]), ...(outliers ? [["cross", "outlier"]] : []), ["ring", "chosen pose"]];
     document.getElementById("legend-marks").replaceChildren(...marks.map(([mark, name]) => element("span", {}, markPicture(mark), name)));
   }

@@ -59,8 +59,7 @@ class Outlier:
     def description(self) -> str:
         """The reading and its error in words."""
         what = f"{self.target} {self.detail}" if self.detail else self.target
-        times = f"{self.studentised:.1f} times the noise of the others (leverage {self.leverage:.2f})"
-        return f"{what}: {self.size} off, {times}"
+        return f"{what}: {self.size} off, {self.studentised:.1f} times the noise of the others"
 
 
 class Outliers(tuple[Outlier, ...]):

@@ -137,10 +137,10 @@ class ResultComparison:
             unit = next(str(row["unit"]) for row in difference.rows if row is not None)
             table.add_row(difference.name, unit, *cells, ", ".join(p_text(p) for p in difference.p_values))
         more = len(self.differences) - len(shown)
-        tested = [pair.sentence() for pair in self.pairs if pair.tested]
+        tested = self.tested_pairs()
         kinds = "with less certain differences, or without a test" if tested else "without a test"
         lines = [f"... and {count_noun(more, 'parameter')} {kinds}"] if more else []
-        answer = [*tested, *self.notes]  # a note says why a pair was not tested
+        answer = [*tested, *self.notes]
         key = f"values ± 95 %; * differs from {self.names[0]}; p is corrected for the number of tests"
         return plain_text(["\n".join([*answer, "", *heads]) + "\n", table, *lines, key], _WIDTH, wrap=True)
 
@@ -151,13 +151,18 @@ class ResultComparison:
             return sorted(self.differences, key=lambda difference: -_distance_in_half_widths(difference))
         return sorted(tested, key=lambda difference: np.nanmin([*difference.p_values, 2.0]))
 
+    def tested_pairs(self) -> list[str]:
+        """Return a sentence on each two results that were tested; a note says why others were not."""
+        return [pair.sentence() for pair in self.pairs if pair.tested]
+
     def conclusion(self) -> str:
-        """Return a line on the real differences of each two results, and a key of the marks."""
+        """Return a line on the differences of each two results, and a key of the marks; empty without a test."""
         key = (
             f"Marked *: differs from {self.names[0]}; values ± 95 %; p is corrected; a difference is real if p is below"
             f" {HARDLY:g}."
         )
-        return "\n".join([*(pair.sentence() for pair in self.pairs), key])
+        tested = self.tested_pairs()
+        return "\n".join([*tested, key] if tested else [])
 
     def to_dict(self) -> dict[str, object]:
         """Return the comparison for `--json`, in the units of tables; null where there is no test."""

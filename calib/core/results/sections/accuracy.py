@@ -65,7 +65,7 @@ def accuracy_grids(fit: Fit) -> list[Grid]:
     sets: list[tuple[str, ErrorSet, Sequence[str]]]
     sets = [(name, error_set, STATES) for name, error_set in shown_sets(fit)]
     if fit.with_all is not None:
-        sets.append(("with outliers", fit.with_all.identification, STATES[1:]))
+        sets.append(("fit pulled by outliers", fit.with_all.identification, STATES[1:]))
     parts = dict.fromkeys(part for _, error_set, _ in sets for _, part, _ in error_set.parts())
     return [_grid(part, sets) for part in parts]
 

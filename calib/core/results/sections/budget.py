@@ -57,17 +57,18 @@ def budget_table(fit: Fit) -> dict[str, Any] | None:
 
 def budget_grid(fit: Fit) -> Grid | None:
     """Return a table of the causes and their sum; None where there is no budget."""
-    budget = budget_table(fit)
-    if budget is None:
+    found, budget = findings.budget(fit), budget_table(fit)
+    if found is None or budget is None:
         return None
     unit, before, causes = budget["unit"], budget["rms_before"], budget["causes"]
+    rms = "RMS, all axes" if len(found.part.axes) > 1 else "RMS"
     of, on_page = "poses not used", "that the fit has not used"
     if budget["set"] == "identification":
         of = "used poses, corrected for noise that the fit absorbed"
         on_page = "that the fit has used (corrected for noise that it absorbed)"
     columns = (
         GridColumn("", "cause", words=True),
-        GridColumn(f"RMS {unit}", f"RMS [{unit}]"),
+        GridColumn(f"{rms} {unit}", f"{rms} [{unit}]"),
         GridColumn(f"mean square {unit}^2", f"mean square [{unit}²]"),
         GridColumn("std"),
         GridColumn("share"),

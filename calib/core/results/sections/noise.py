@@ -58,7 +58,7 @@ class NoiseFound:
 def noise_found(fit: Fit) -> list[NoiseFound]:
     """Return the noise of each group of rows; its quantity is named if there are several."""
     several = {
-        (instrument.name, part.name)
+        (instrument.group, part.name)
         for instrument in fit.nominal.instruments
         for part in instrument.parts
         if len(part.axes) > 1
@@ -84,7 +84,7 @@ def noise_lines(fit: Fit) -> list[str]:
     lines = []
     for noise in noise_found(fit):
         stated = "none was stated" if noise.stated is None else f"stated: {noise.stated:.4g} {noise.unit}"
-        lines.append(f"Noise found{noise.of}: {noise.sigma:.4g} {noise.unit} per axis ({stated})")
+        lines.append(f"Noise found{noise.of}: {noise.sigma:.4g} {noise.unit}{noise.per} ({stated})")
     return lines
 
 

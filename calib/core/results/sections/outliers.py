@@ -110,7 +110,7 @@ def outlier_grid(fit: Fit) -> OutlierGrid:
         GridColumn("point" if points else "instrument", words=True),
         GridColumn("distance [mm]" if points else "error"),
         GridColumn("over noise"),
-        GridColumn("leverage"),
+        GridColumn("source", words=True),
     )
     cells = tuple(_cells(row, points) for row in rows[:MOST])
     return OutlierGrid(Grid("", "", columns, cells), len(rows), points)
@@ -120,8 +120,9 @@ def _cells(row: dict[str, Any], points: bool) -> tuple[str | GridNumber, ...]:
     together = f" (all {row['together']} readings there)" if row["together"] else ""
     of = " ".join(filter(None, (row["target"], row["looked_at"])))
     size = GridNumber(row["distance"]) if points else str(row["size"])
-    how_far = (GridNumber(row["over_noise"], page_decimals=1), GridNumber(row["leverage"], page_decimals=2))
-    return (str(row["pose"]), row["set"], f"{of}{together}", size, *how_far)
+    source = row["where"].removesuffix(f" (pose {row['pose']})")
+    over_noise = GridNumber(row["over_noise"], page_decimals=1)
+    return (str(row["pose"]), row["set"], f"{of}{together}", size, over_noise, source)
 
 
 def with_excluded(fit: Fit) -> dict[str, object] | None:

@@ -85,7 +85,7 @@ def test_gross_errors_are_named_with_row_and_pose(arm, size):
     assert {outlier.pose for outlier in fit.outliers} >= {12, 55}
     assert fit.outliers[0].label in ("row 12", "row 55")
     assert fit.outliers[0].target == "ball"
-    assert "times the noise of the others" in str(fit.outliers[0])
+    assert "times the error expected there" in str(fit.outliers[0])
 
 
 def test_excluded_outliers_are_told_and_both_results_kept(arm):

@@ -59,7 +59,7 @@ class Outlier:
     def description(self) -> str:
         """The reading and its error in words."""
         what = f"{self.target} {self.detail}" if self.detail else self.target
-        return f"{what}: {self.size} off, {self.studentised:.1f} times the noise of the others"
+        return f"{what}: {self.size} off, {self.studentised:.1f} times the error expected there"
 
 
 class Outliers(tuple[Outlier, ...]):

@@ -109,7 +109,7 @@ def outlier_grid(fit: Fit) -> OutlierGrid:
         GridColumn("set", words=True),
         GridColumn("point" if points else "instrument", words=True),
         GridColumn("distance [mm]" if points else "error"),
-        GridColumn("over noise"),
+        GridColumn("over expected"),
         GridColumn("source", words=True),
     )
     cells = tuple(_cells(row, points) for row in rows[:MOST])

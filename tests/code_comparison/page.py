@@ -65,7 +65,7 @@ each other in a file) or 1 in 100 (images, printers) |
 poses; this is the RMS of its residuals |
 | verdict right | PASS if errors are at most 1.25 times those claimed and less than the nominal robot's, else another \
 grade; on splits with a claim |
-| fit, command, memory | processor time of the fit and of the process, largest memory: medians |
+| fit, command | processor time of the fit and of the process: medians |
 | lines | those that a user writes for one problem |"""
 _MARKS = "▲ marks a code that is better than this project, = a tie, bold the smallest error of a line."
 
@@ -114,9 +114,8 @@ def _standing(rows: Sequence[Row]) -> str:
 def _summary(rows: Sequence[Row]) -> str:
     """One line of each code, over all splits."""
     lines = [
-        "| code | splits | better, tie, worse | error | claim | verdict right | fit [s] | command [s] | memory [MB]"
-        " | lines |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| code | splits | better, tie, worse | error | claim | verdict right | fit [s] | command [s] | lines |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     pairs = [(own, ours) for told, own in _splits(rows) if (ours := _own(told, own))]
     for name in _names(rows):
@@ -131,11 +130,11 @@ def _summary(rows: Sequence[Row]) -> str:
         claim += "" if not ratios or all(row["own_claim"] for row in own if row["claimed_rms"]) else " \\*"
         verdicts = [row["verdict_right"] for row in own if "verdict_right" in row]
         verdict = f"{sum(verdicts)} of {len(verdicts)}" if verdicts else "none"
-        fit, command, memory = (median(r[key] for r in own) for key in ("fit_seconds", "command_seconds", "memory_mb"))
+        fit, command = (median(r[key] for r in own) for key in ("fit_seconds", "command_seconds"))
         middle = f"{median(over):.2f}" if over else ""
         lines.append(
             f"| {name} | {len(own)} of {n_splits} | {counts} | {middle} | {claim} | {verdict}"
-            f" | {fit:.2f} | {command:.1f} | {memory:.0f} | {code.lines if name != PLACED else ''} |"
+            f" | {fit:.2f} | {command:.1f} | {code.lines if name != PLACED else ''} |"
         )
     return "\n".join(lines)
 

@@ -18,7 +18,6 @@ pixels.
 """
 
 import json
-import resource
 import sys
 import time
 from collections.abc import Iterator
@@ -125,7 +124,6 @@ def main(solve: Any, reader: Any = Problem) -> None:
     folder, path, *options = sys.argv[1:]
     answer: Answer = solve(reader(Path(folder)), *options)
     told = vars(answer) | {"points": np.asarray(answer.points).tolist(), "fit_seconds": _seconds}
-    told["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     Path(path).write_text(json.dumps(told))
 
 

@@ -37,8 +37,4 @@ DATA = Arm(
     length_sigma=2e-3,
     angle_sigma=5e-3,
     splits=_splits,
-    reasons={
-        "80 at random, seed 1": "curves of joint errors, chosen by 80 rows, do not hold at the others; without joint"
-        " terms this project leaves 1.211 mm, and on these rows all tie"
-    },
 )

@@ -62,12 +62,6 @@ PANDA = _arm(
         "urdf/panda.urdf": "6e30a37df12389628e68dfc18b98286284ca9e8f21eeff854965c75c1704d63f",
     },
     owners="the owners report a mean of 0.347 mm at unseen places, from each socket's own mean (a weaker measure)",
-    reasons={
-        "place front unseen": (
-            "priors expect origins within 1 mm and 3 mrad, but this robot is off by 10 mm. SciPy with these priors is "
-            "as good; the difference is a tie on these rows"
-        ),
-    },
 )  # fmt: skip
 KUKA = _arm(
     "KUKA in sockets", "kuka_14", "KUKA LBR iiwa 14", "iiwa14.urdf", "joint_a", "base_link", "tool0",

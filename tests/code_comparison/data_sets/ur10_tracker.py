@@ -40,8 +40,4 @@ DATA = Arm(
     base="base_link",
     link="flange",
     splits=_splits,
-    reasons={
-        "low half of the shoulder's lift fitted": "joint terms were chosen on the fitted half, and hold less at other"
-        " values of the shoulder; without them this project leaves 0.782 mm"
-    },
 )

@@ -150,6 +150,19 @@ def test_a_family_that_is_not_seen_keeps_the_size_that_is_expected():
     assert find_sizes(unseen, ONE, family, np.array([1.0, 0.3]))[1][1] == pytest.approx(1.0, rel=0.05)
 
 
+def test_noise_beside_families_counts_the_parameters_without_a_prior():
+    """Of 60 rows, 36 such parameters leave 24: by the textbook, the noise is not below sqrt(RSS / 24)."""
+    rng = np.random.default_rng(0)
+    jacobian, family = rng.standard_normal((60, 40)), np.repeat([-1, 0], [36, 4])
+    jacobian[:, 36:] *= 1e-9  # rows say nothing of the family
+    residuals = rng.standard_normal(60)
+    one = RowGroups.from_groups(np.zeros(60, dtype=np.intp), 1)
+    model = LinearModel(residuals, jacobian, Prior(family >= 0), np.zeros(40), one)
+    left = residuals - jacobian[:, :36] @ np.linalg.lstsq(jacobian[:, :36], residuals, rcond=None)[0]
+    scales, _ = find_sizes(model, ONE, family, np.ones(1))
+    assert scales[0] == pytest.approx(np.sqrt(left @ left / 24), rel=0.01)
+
+
 def test_many_rows_give_what_a_few_of_the_same_products_give():
     """Rows of two groups, some not read: against the search of all rows, one by one."""
     model, family = with_families(4)

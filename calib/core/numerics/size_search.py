@@ -35,7 +35,6 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
@@ -47,6 +46,7 @@ _LEAST_PART = 1e-3  # least noise and scatter, over what would explain all resid
 _LEAST_ALONE = 1e-5  # the same of noise where nothing scatters: all that families leave is noise then
 _SMALL = 0.1  # a falling size is set to its bound below this part of the start of the search
 _AT_BOUND = 1e-9  # difference of a logarithm from its bound
+_LEAST_FREEDOM = 1e-6  # of a group whose rows flat columns explain but for rounding
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
 _CONVERGED = 0.03  # sizes are found if twice the cost changes less with their logarithms
@@ -210,8 +210,8 @@ class _Bounds(ReadOnlyArrays):
 
     Attributes:
         least: A value that is as good as zero.
-        most: For a family much more than expected; for noise and scatter the value that explains all that flat columns
-            leave.
+        most: For a family much more than expected; for scatter the value that explains all that flat columns leave;
+            for noise too, by the rows less the flat columns.
     """
 
     least: FloatArray
@@ -219,10 +219,13 @@ class _Bounds(ReadOnlyArrays):
 
     @staticmethod
     def from_model(model: MixedModel) -> _Bounds:
-        flat = model.x[:, model.family == FLAT]
-        left = model.y - flat @ linalg.lstsq(flat, model.y) if flat.shape[1] else model.y
-        group, counts = model.rows.group, model.rows.stands_for
-        squares = [float(np.sum(left[group == g] ** 2) / np.sum(counts[group == g])) for g in model.unstated_groups]
+        flat = model.x[:, model.family == FLAT]  # orthonormal
+        left, group = model.y - flat @ (flat.T @ model.y), model.rows.group
+        freedom = model.rows.stands_for - np.sum(flat**2, axis=1)
+        squares = [
+            float(np.sum(left[group == g] ** 2)) / max(float(np.sum(freedom[group == g])), _LEAST_FREEDOM)
+            for g in model.unstated_groups
+        ]
         if model.scatters:
             squares.append(float(np.mean(left**2)) / max(float(np.mean(model.spread)), _NOTHING))
         most = 0.5 * np.log(np.array(squares) + _NOTHING)

@@ -32,7 +32,7 @@ test-thorough: $(VENV)/.ready-dev
 	CALIB_TESTS=thorough $(BIN)/python -m pytest -m amount -n $(JOBS) --dist worksteal
 
 test-search: $(VENV)/.ready-dev
-	CALIB_SEARCH=200 $(BIN)/python -m pytest tests/test_searched_input.py --hypothesis-seed=1 -n $(JOBS)
+	CALIB_TESTS=every-case CALIB_SEARCH=200 $(BIN)/python -m pytest tests/test_searched_input.py --hypothesis-seed=1 -n $(JOBS)
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .

@@ -5,7 +5,7 @@ Soon is below 20 s, and with no more than 2 GB of memory beside what the program
 Hypothesis edits the files of a good run (cells, numbers, words, lines, columns, bytes) and the options, and where a run
 breaks a promise it shrinks the edits to the fewest. The suite makes the same few cases every time; a search is
 
-    CALIB_SEARCH=1000 python -m pytest tests/test_searched_input.py --hypothesis-seed=1
+    CALIB_TESTS=every-case CALIB_SEARCH=1000 python -m pytest tests/test_searched_input.py --hypothesis-seed=1
 """
 
 import csv

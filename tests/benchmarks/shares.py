@@ -6,14 +6,13 @@ Functions are timed while they run, inside the fit and the verdict that a user c
 FOLDER holds the measurements of others, as for evaluations.py; without it, the Motoman is left out.
 """
 
-import argparse
 import time
 from contextlib import ExitStack, contextmanager
 from operator import attrgetter
-from pathlib import Path
 from unittest import mock
 
 import evaluations
+from timing import print_table
 
 import calib
 from calib.core.base.threads import one_blas_thread
@@ -86,7 +85,4 @@ def table(folder, rounds):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, help="folder with measurements of others")
-    for line in table(parser.parse_args().data, 30):
-        print(line, flush=True)
+    print_table(__doc__, table, 30)

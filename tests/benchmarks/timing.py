@@ -1,5 +1,6 @@
 """Processor time of pieces of work that are run in turns, and memory."""
 
+import argparse
 import re
 import time
 from pathlib import Path
@@ -39,3 +40,11 @@ def fast(function):
 def peak_memory():
     """Most memory that this program has taken [GB]; `ru_maxrss` may be that of the program which started it."""
     return int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1]) / 1e6
+
+
+def print_table(about, table, rounds):
+    """Print the lines of a table, for the folder of measurements that the command line may name."""
+    parser = argparse.ArgumentParser(description=about.splitlines()[0])
+    parser.add_argument("--data", type=Path, help="folder with measurements of others")
+    for line in table(parser.parse_args().data, rounds):
+        print(line, flush=True)

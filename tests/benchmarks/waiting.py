@@ -6,13 +6,11 @@ The unit is a fit with verdict and intervals of 84 poses of MedRUE. Measurements
 FOLDER holds those of others, as for evaluations.py; without it, these rows are left out.
 """
 
-import argparse
 from collections import deque
-from pathlib import Path
 
 import evaluations
 import numpy as np
-from timing import least
+from timing import least, print_table
 
 import calib
 from medrue.workspace import target_workspace
@@ -76,7 +74,4 @@ def table(folder, rounds):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, help="folder with measurements of others")
-    for line in table(parser.parse_args().data, 3):
-        print(line, flush=True)
+    print_table(__doc__, table, 3)

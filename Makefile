@@ -26,13 +26,13 @@ test: $(VENV)/.ready-dev
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 test-processors: $(VENV)/.ready-dev
-	$(BIN)/python tests/processors.py -n $(JOBS)
+	$(BIN)/python -m tests.processors -n $(JOBS)
 
 test-thorough: $(VENV)/.ready-dev
 	CALIB_TESTS=thorough $(BIN)/python -m pytest -m amount -n $(JOBS) --dist worksteal
 
 test-search: $(VENV)/.ready-dev
-	CALIB_TESTS=every-case CALIB_SEARCH=200 $(BIN)/python -m pytest tests/test_searched_input.py --hypothesis-seed=1 -n $(JOBS)
+	CALIB_TESTS=every-case CALIB_SEARCH=200 $(BIN)/python -m pytest tests/whole/test_searched_input.py --hypothesis-seed=1 -n $(JOBS)
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
@@ -42,7 +42,7 @@ lint: $(VENV)/.ready-dev
 
 # Prints docs/performance.md and writes it; with DATA=FOLDER also of others' measurements.
 bench: $(VENV)/.ready-dev
-	$(BIN)/python tests/benchmarks/performance.py $(if $(DATA),--data $(DATA)) --write docs/performance.md
+	$(BIN)/python -m tests.benchmarks.performance $(if $(DATA),--data $(DATA)) --write docs/performance.md
 
 # The pictures of README and docs: MedRUE as on the start page, and the map of the arm.
 pictures: $(VENV)/.ready

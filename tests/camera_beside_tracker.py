@@ -1,6 +1,6 @@
 """What a camera on the flange reaches beside a laser tracker, at the same poses: simulated, and printed as a table.
 
-    python tests/camera_beside_tracker.py [--draws N] [--seed N]
+    python -m tests.camera_beside_tracker [--draws N] [--seed N]
 
 Robots of docs/examples, described by `calib init --measure camera` and `--measure tracker`. Lengths and angles of the
 true robot are off by 0.5 mm and 1.5 mrad, where camera and board are by 5 mm and 0.5 deg. The camera (640 x 480 px,
@@ -23,8 +23,8 @@ import scipy
 
 import calib
 from calib.core.commands.init import command
+from tests.project import EXAMPLES
 
-EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ROBOTS = {"arm": [str(EXAMPLES / "arm.urdf")], "UR10e": ["--dh", str(EXAMPLES / "ur10e_dh.csv")]}
 CAMERA = """\
 image_width: 640

@@ -1,6 +1,6 @@
 """What fits claim of real robots, and what poses show that they have not seen.
 
-    python tests/claims.py FOLDER [--terms auto] [--only WORDS] [--page]
+    python -m tests.claims FOLDER [--terms auto] [--only WORDS] [--page]
 
 It prints a line for each fit, then a table of each sort of split.
 
@@ -20,13 +20,14 @@ from typing import cast
 
 import numpy as np
 import yaml
-from public_data import EXAMPLES, PLACES, described, mukca, ur10_tracker
 
 import calib
 from calib.core.base.errors import CalibrationError
 from calib.core.base.words import count_noun
 from calib.core.data.measurements import Measurements
 from calib.core.judging.claim import claim_of, is_elsewhere, unlike_measured
+from tests.project import EXAMPLES
+from tests.public_data import PLACES, described, mukca, ur10_tracker
 
 PAGE = EXAMPLES.parent / "verdict.md"
 _PLACE = re.compile(r"(<!-- begin real robots -->\n).*?(<!-- end real robots -->)", re.DOTALL)

@@ -15,13 +15,10 @@ import pytest
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: threads of processes side by side wait for each other
 
-from six_axis_arm import six_axis_arm
-
 import calib
 from calib.pictures import pages
-
-ROOT = Path(__file__).resolve().parents[1]
-
+from tests.project import EXAMPLES, ROOT, SHARED
+from tests.six_axis_arm import six_axis_arm
 
 LONGEST = (
     "test_many_calibrations.py",
@@ -158,22 +155,21 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> calib.Robot:
 @pytest.fixture(scope="session")
 def robot() -> calib.Robot:
     """The arm of docs/examples."""
-    return calib.load(ROOT / "docs" / "examples" / "arm.yaml")
+    return calib.load(EXAMPLES / "arm.yaml")
 
 
 @pytest.fixture(scope="session")
 def data(robot: calib.Robot) -> calib.Measurements:
     """80 simulated positions of the arm of docs/examples."""
-    return calib.read_measurements(ROOT / "docs" / "examples" / "arm_simulated.csv", robot)
+    return calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
 
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of real measurements by other people, which the project does not contain."""
-    folder = ROOT.parent / "shared" / "data"
-    if not folder.is_dir():
-        pytest.skip(f"real measurements are not here ({folder} is absent)")
-    return folder
+    if not SHARED.is_dir():
+        pytest.skip(f"real measurements are not here ({SHARED} is absent)")
+    return SHARED
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -2,8 +2,8 @@
 
 For changes that must not change results: run it before, run it after, compare.
 
-    python tests/frozen_results.py FOLDER                      writes the answers of this checkout
-    python tests/frozen_results.py FOLDER --against BEFORE     writes them, and compares with those in BEFORE
+    python -m tests.frozen_results FOLDER                      writes the answers of this checkout
+    python -m tests.frozen_results FOLDER --against BEFORE     writes them, and compares with those in BEFORE
 
 Everything is simulated, with fixed seeds. Times, paths and versions do not count; numbers may differ by rounding.
 """
@@ -21,13 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from six_axis_arm import URDF
-from test_kind_pixel import INTRINSICS, POINTS
 
 import calib
+from tests.core.instruments.test_kind_pixel import INTRINSICS, POINTS
+from tests.project import EXAMPLES, ROOT
+from tests.six_axis_arm import URDF
 
-ROOT = Path(__file__).resolve().parents[1]
-EXAMPLES = ROOT / "docs" / "examples"
 SAME = 1e-6
 """Relative difference of numbers that rounding makes."""
 NOTHING = 1e-9

@@ -1,6 +1,6 @@
 """How far predictions by disjoint halves of real measurements lie apart, and how far the fits say that they do.
 
-    python tests/halves.py FOLDER [--draws N] [--only WORDS] [--page]
+    python -m tests.halves FOLDER [--draws N] [--only WORDS] [--page]
 
 FOLDER holds measurements by others, as `tests/public_data.py` reads them. Positions at all poses are predicted by the
 fits of two halves. What both fits leave to the same prior is off by the same in both, and does not count; nor does the
@@ -15,14 +15,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from claims import positioner
-from public_data import EXAMPLES, PLACES, described, mukca, ur10_tracker
 
 import calib
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import boxes
 from calib.core.fitting.regions import BLOCKS
+from tests.claims import positioner
+from tests.project import EXAMPLES
+from tests.public_data import PLACES, described, mukca, ur10_tracker
 
 PAGE = EXAMPLES.parent / "uncertainty.md"
 _PLACE = re.compile(r"(<!-- begin halves -->\n).*?(<!-- end halves -->)", re.DOTALL)

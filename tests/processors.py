@@ -16,7 +16,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.project import ROOT
+
 OLD = "Prescott"
 """Kernels without AVX2, a name of OpenBLAS."""
 NEW = {
@@ -28,15 +29,16 @@ NEW = {
 AVX512 = ("X86_V4", "AVX512")
 AVX2 = ("X86_V3", "AVX2", "FMA3")
 """Beginnings of the names of what numpy is told to do without, in the words of several of its versions."""
+FOLDERS_LEFT_OUT = {"browser", "code_comparison", "docs", "interop", "viz"}
 NOT_NUMERICAL = (
-    *("bad_input", "bad_kinds", "code_comparison", "common_options", "description", "files", "floors"),
+    *("bad_input", "bad_kinds", "common_options", "description", "files"),
     *("function_gradients", "init_command", "many_calibrations", "next_steps", "other_words", "own_files"),
     *("foreign_files", "gcode_firmwares", "program_reading", "programs_run", "tolerance"),
     *("parameter_files", "plain_text", "remembered", "rosbag", "searched_input", "sharing", "tables", "urdf_text"),
     *("wheel", "workers"),
 )
-"""Tests that depend on no sum of these: bad input, files and what is printed, processes, programs of others, code that
-other packages compile, and everything whose name has `viz`."""
+"""Tests that depend on no sum of these: bad input, files and what is printed, processes, programs of others, and code
+that other packages compile."""
 _DISPATCHED = (
     "from numpy._core._multiarray_umath import __cpu_dispatch__ as names, __cpu_features__ as able\n"
     "print(*(name for name in names if able.get(name)))"
@@ -54,7 +56,7 @@ def main() -> int:
     jobs = parser.parse_args().jobs
     cpuinfo = Path("/proc/cpuinfo")
     able = set(cpuinfo.read_text(encoding="utf-8").split()) if cpuinfo.is_file() else set()
-    files = [str(path) for path in sorted((ROOT / "tests").glob("test_*.py")) if _numerical(path.stem)]
+    files = [str(path) for path in sorted((ROOT / "tests").rglob("test_*.py")) if _numerical(path)]
     own = _kernels(None)
     others = [name for name, needed in NEW.items() if needed <= able and _kernels(name) != own]
     processors = [(OLD, (*AVX512, *AVX2)), *((name, AVX512) for name in others[:1])]
@@ -66,9 +68,9 @@ def main() -> int:
     return int(bool(failed))
 
 
-def _numerical(name: str) -> bool:
+def _numerical(path: Path) -> bool:
     """Whether a file of tests hangs on sums."""
-    return "viz" not in name and name.removeprefix("test_") not in NOT_NUMERICAL
+    return path.parent.name not in FOLDERS_LEFT_OUT and path.stem.removeprefix("test_") not in NOT_NUMERICAL
 
 
 def _passes(kernels: str, without: tuple[str, ...], files: list[str], jobs: str) -> bool:

@@ -1,6 +1,6 @@
 """Real robots measured by others: how their files are read here, and the figures of docs/benchmarks.md.
 
-    python tests/public_data.py FOLDER [ur10_tracker] [motoman_right] [mukca] [--page docs/benchmarks.md]
+    python -m tests.public_data FOLDER [ur10_tracker] [motoman_right] [mukca] [--page docs/benchmarks.md]
 
 FOLDER holds a folder for each: ur10_tracker (robot.urdf, grid.csv with a column `use`), motoman_right (robot.urdf,
 train.csv, test.csv, camera), mukca (urdf, panda_1, kuka_14). None is part of the project; docs/comparison.md says where
@@ -23,8 +23,8 @@ from scipy.optimize import least_squares
 import calib
 from calib.core.data.tables import read_table
 from calib.core.rows.registration import register
+from tests.project import EXAMPLES
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
 ORIGINS = """\
 parametrisation:
   - {origin: all, components: [x, y, z], sigma: 1 mm}

@@ -1,4 +1,4 @@
-"""Written files without the line in which the program says that it wrote them (tests/test_own_files.py)."""
+"""Written files without the line in which the program says that it wrote them (tests/core/base/test_own_files.py)."""
 
 import re
 from pathlib import Path

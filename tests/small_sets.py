@@ -1,6 +1,6 @@
 """Whether `--terms auto` harms on small sets, on simulated arms: unseen poses beside those of a fit of origins alone.
 
-    python tests/small_sets.py [--each 10] [--seed 1] [--kinds gain,curve]
+    python -m tests.small_sets [--each 10] [--seed 1] [--kinds gain,curve]
 
 prints the table of docs/theory/joint_terms.md. Each arm has errors of origins as expected, and one kind of joint error
 from 0.3 to 3 times what is expected, or none, or one that no term describes (products of two waves over two joints,
@@ -10,15 +10,14 @@ them.
 """
 
 import argparse
-from pathlib import Path
 
 import numpy as np
 
 import calib
 from calib.core.base.threads import one_blas_thread
 from calib.core.robots.terms.terms import parse_terms
+from tests.project import EXAMPLES
 
-EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 KINDS = ("nothing", "gain", "harmonics", "curve", "compliance", "bending", "lacking")
 SIZES, N_UNSEEN, NOISE = (30, 45, 60), 300, 3e-5
 LACKING = 3e-4  # about how far a joint is off by what no term describes [rad]

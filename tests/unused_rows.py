@@ -1,6 +1,6 @@
 """How many positions of real robots that a fit has not used lie in its 95 % regions, and what each mechanism adds.
 
-    python tests/unused_rows.py FOLDER [--only WORDS] [--page]
+    python -m tests.unused_rows FOLDER [--only WORDS] [--page]
 
 The splits are those of `tests/claims.py`, as far as one instrument reads positions. The covariance of a reading is that
 of the predicted position plus the noise found. A region is an ellipsoid of three coordinates. --page writes the table
@@ -14,14 +14,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from claims import splits
-from public_data import EXAMPLES
 from scipy.stats import chi2, norm
 
 import calib
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError
 from calib.core.rows.prediction import ParameterUncertainty
+from tests.claims import splits
+from tests.project import EXAMPLES
 
 PAGE = EXAMPLES.parent / "uncertainty.md"
 _PLACE = re.compile(r"(<!-- begin unused rows -->\n).*?(<!-- end unused rows -->)", re.DOTALL)

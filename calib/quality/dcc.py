@@ -1,8 +1,8 @@
 """A certificate as a digital calibration certificate: XML by PTB's schema DCC 3.2.0, quantities in D-SI 2.1.
 
 The order of elements, the required elements, and the units follow the schemas (https://ptb.de/dcc/v3.2.0/dcc.xsd,
-https://ptb.de/si/v2.1.0/SI_Format.xsd); `tests/test_certificate.py` checks the rules. A required element without a
-statement is written as "not stated", a country as ZZ (ISO 3166-1 reserves it for users); a date must be stated.
+https://ptb.de/si/v2.1.0/SI_Format.xsd); `tests/quality/test_certificate.py` checks the rules. Required elements without
+a statement are written as "not stated", a country as ZZ (ISO 3166-1 reserves it for users); a date must be stated.
 """
 
 from __future__ import annotations

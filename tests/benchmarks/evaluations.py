@@ -1,6 +1,6 @@
 """How many evaluations a fit takes as the stated noise shrinks from 1 mm to 1 um, for every robot of the tests.
 
-    python tests/benchmarks/evaluations.py [--data FOLDER] [--starts N] [--subsets N]
+    python -m tests.benchmarks.evaluations [--data FOLDER] [--starts N] [--subsets N]
 
 FOLDER holds the measurements of others: motoman_right (docs/examples/motoman_right.yaml), and ur10_tracker
 (docs/examples/ur10_tracker.yaml, 300 random rows). Without it, only robots that ship with the project are fitted. A
@@ -23,7 +23,6 @@ from unittest import mock
 
 import numpy as np
 import scipy
-from motoman_choice import load as motoman
 
 import calib
 from calib.core.base.threads import one_blas_thread
@@ -37,8 +36,9 @@ from calib.core.robots.terms.term import Context
 from medrue import robot_file
 from medrue.imperfections import from_direction
 from medrue.workspace import target_workspace
+from tests.benchmarks.motoman_choice import load as motoman
+from tests.project import EXAMPLES
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 SIGMAS = np.array([1000, 300, 100, 42.6, 10, 7, 3, 1]) * 1e-6
 
 

@@ -1,6 +1,6 @@
 """How processor time grows with rows, targets, unknowns, candidates and draws.
 
-    python tests/benchmarks/growth.py [--data FOLDER]
+    python -m tests.benchmarks.growth [--data FOLDER]
 
 Each piece of work is done for two sizes, in turns. A slope is log(time ratio) / log(size ratio): 1 where twice as much
 takes twice as long, 2 where it takes four times as long. With FOLDER, which holds the measurements of others as for
@@ -13,14 +13,14 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import evaluations
 import numpy as np
-from timing import least
 
 import calib
 from calib.core.robots.acceleration import compile_kinematics
 from medrue import robot_file
 from medrue.workspace import target_workspace
+from tests.benchmarks import evaluations
+from tests.benchmarks.timing import least
 
 SIGMA = 4e-5
 

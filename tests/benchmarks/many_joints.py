@@ -1,6 +1,6 @@
 """Processor time and memory of a fit with joint terms chosen, of a chain of many joints.
 
-    python tests/benchmarks/many_joints.py [JOINTS] [POSES]
+    python -m tests.benchmarks.many_joints [JOINTS] [POSES]
 
 The chain is simulated: origins that are off, a once-a-turn error of each joint, one three times a turn, noise of
 0.1 mm. What it prints is one row of a table: time of the fit without terms, with terms, of the verdict; most memory.
@@ -13,9 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from timing import least, peak_memory
 
 import calib
+from tests.benchmarks.timing import least, peak_memory
 
 SIGMA = 1e-4
 AXES = ("0 0 1", "0 1 0", "1 0 0")

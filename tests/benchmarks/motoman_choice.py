@@ -1,6 +1,6 @@
 """Does choosing poses help on a real arm? 53 of its 159 measured poses, by O1 and the task index, against random ones.
 
-    python tests/benchmarks/motoman_choice.py FOLDER [--draws 200]
+    python -m tests.benchmarks.motoman_choice FOLDER [--draws 200]
 
 FOLDER holds robot.urdf, train.csv and test.csv of the arm in docs/examples/motoman_right.yaml. Each choice is fitted
 and judged on the 53 held-out poses. Then the same poses are measured by simulation, where the calibrated arm is the
@@ -20,9 +20,10 @@ from calib.core.numerics.observability import information
 from calib.core.rows.candidates import rows_of_poses
 from calib.core.rows.unknowns import Unknowns
 from calib.planning.selection import select
+from tests.project import EXAMPLES
 
 COUNT = 53
-DESCRIPTION = Path(__file__).resolve().parents[2] / "docs" / "examples" / "motoman_right.yaml"
+DESCRIPTION = EXAMPLES / "motoman_right.yaml"
 
 
 def load(folder):

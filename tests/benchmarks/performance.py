@@ -1,6 +1,6 @@
 """How fast everything is, as ratios within one run, and docs/performance.md from it.
 
-    python tests/benchmarks/performance.py [--data FOLDER] [--write FILE] [--quick]
+    python -m tests.benchmarks.performance [--data FOLDER] [--write FILE] [--quick]
 
 Times of shared machines mean little on their own: what is compared is run in turns, and the least processor time of
 each is taken. FOLDER holds the measurements of others, as for evaluations.py; without it, those rows are left out.
@@ -12,22 +12,18 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-import evaluations
-import growth
 import numpy as np
 import pinocchio as pin
 import scipy
-import shares
-import waiting
-import whole_commands
-from hand_written import Arm, fit
-from timing import fast, least
 
 import calib
 from calib.core.robots.jacobian import linearise
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
+from tests.benchmarks import evaluations, growth, shares, waiting, whole_commands
+from tests.benchmarks.hand_written import Arm, fit
+from tests.benchmarks.timing import fast, least
 
 ARMS = {  # priors of hand-written fits: origins' lengths and angles, place of the point; the point; noise to state
     "arm": ((1e-3, 3e-3, 5e-3), (0.02, 0.0, 0.05), 3e-5),
@@ -158,7 +154,7 @@ def page(folder, rounds, draws):
 
 For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. Things
 that are compared ran in turn, with one thread of linear algebra. Each time is the shortest of 15 runs (of 3 for whole
-commands). `python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md` makes this page, with
+commands). `python -m tests.benchmarks.performance --data FOLDER --write docs/performance.md` makes this page, with
 the [measurements of others](benchmarks.md) in FOLDER; `make bench` prints it.
 
 ## Kinematics through closed loops
@@ -194,7 +190,7 @@ statistics. It shares no code with `calib` and reaches the same minimum: the sum
         yield f"| {' | '.join(map(str, row))} |"
     yield """
 Where the time of a small fit and its verdict goes, as parts of both together (this table alone:
-`python tests/benchmarks/shares.py --data FOLDER`):
+`python -m tests.benchmarks.shares --data FOLDER`):
 """
     yield from shares.table(folder, 2 * rounds)
     alone, *drawn = studies(draws, max(rounds // 10, 1))
@@ -216,25 +212,26 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
 Time from prompt to prompt: simulated measurements, modules compiled to byte code, kinematics by numba. The unit is a
 program that only imports the libraries that a fit with pages needs. Commands on 100 000 rows and more, and those of
 `medrue`, ran once. This table alone:
-`python tests/benchmarks/whole_commands.py --data FOLDER`.
+`python -m tests.benchmarks.whole_commands --data FOLDER`.
 """
     yield from whole_commands.table(max(rounds // 5, 1), folder)
     yield """
 ## What people wait for
 
-In a program that is already running (this table alone: `python tests/benchmarks/waiting.py --data FOLDER`):
+In a program that is already running (this table alone: `python -m tests.benchmarks.waiting --data FOLDER`):
 """
     yield from waiting.table(folder, max(rounds // 5, 1))
     yield """
-Joint terms of many joints: a simulated chain, in a process of its own (`python tests/benchmarks/many_joints.py`):
+Joint terms of many joints: a simulated chain, in a process of its own (`python -m tests.benchmarks.many_joints`):
 """
-    script = Path(__file__).with_name("many_joints.py")
-    yield subprocess.run([sys.executable, script], capture_output=True, text=True, check=True).stdout.rstrip()
+    yield subprocess.run(
+        [sys.executable, "-m", "tests.benchmarks.many_joints"], capture_output=True, text=True, check=True
+    ).stdout.rstrip()
     yield """
 ## Growth
 
 Slopes of processor time: 1 where twice as much takes twice as long. Without `fast`. This table alone:
-`python tests/benchmarks/growth.py --data FOLDER`.
+`python -m tests.benchmarks.growth --data FOLDER`.
 """
     yield from growth.table(folder, max(rounds // 5, 1))
 

@@ -1,6 +1,6 @@
 """Where the processor time of a small fit and its verdict goes, by function.
 
-    python tests/benchmarks/shares.py [--data FOLDER]
+    python -m tests.benchmarks.shares [--data FOLDER]
 
 Functions are timed while they run, inside the fit and the verdict that a user calls; the least of some rounds counts.
 FOLDER holds the measurements of others, as for evaluations.py; without it, the Motoman is left out.
@@ -11,12 +11,11 @@ from contextlib import ExitStack, contextmanager
 from operator import attrgetter
 from unittest import mock
 
-import evaluations
-from timing import print_table
-
 import calib
 from calib.core.base.threads import one_blas_thread
 from calib.core.judging import verdict
+from tests.benchmarks import evaluations
+from tests.benchmarks.timing import print_table
 
 SIGMAS = {"arm": 3e-5, "MedRUE": 4e-5, "Motoman": 4.26e-5}
 OF_FIT = {

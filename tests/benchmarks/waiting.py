@@ -1,6 +1,6 @@
 """What a person waits for in a running program: few rows, a robot that is being watched, joint terms.
 
-    python tests/benchmarks/waiting.py [--data FOLDER]
+    python -m tests.benchmarks.waiting [--data FOLDER]
 
 The unit is a fit with verdict and intervals of 84 poses of MedRUE. Measurements are simulated, but those of the UR10:
 FOLDER holds those of others, as for evaluations.py; without it, these rows are left out.
@@ -8,12 +8,12 @@ FOLDER holds those of others, as for evaluations.py; without it, these rows are 
 
 from collections import deque
 
-import evaluations
 import numpy as np
-from timing import least, print_table
 
 import calib
 from medrue.workspace import target_workspace
+from tests.benchmarks import evaluations
+from tests.benchmarks.timing import least, print_table
 
 SIGMA = 4e-5
 FIRST = (42, 30, 20)

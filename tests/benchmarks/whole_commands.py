@@ -1,6 +1,6 @@
 """What whole commands take: processor time, and memory, from the shell's prompt to the next.
 
-    python tests/benchmarks/whole_commands.py [--data FOLDER] [--quick]
+    python -m tests.benchmarks.whole_commands [--data FOLDER] [--quick]
 
 The unit is a program that imports the libraries that a fit with pages needs, and ends. Measurements are simulated, but
 those of the UR10: FOLDER holds those of others, as for evaluations.py; without it, these rows are left out. The byte
@@ -21,9 +21,8 @@ from calib.core.base.units import PER_SI, millimetres
 from calib.core.data.table_writing import format_table
 from medrue import robot_file
 from medrue.workspace import target_workspace
+from tests.project import EXAMPLES, ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = ROOT / "docs" / "examples"
 IMPORTS = ["-c", "import numpy, scipy.linalg, pinocchio, yourdfpy, matplotlib.figure"]
 SOME = 10_000
 MANY = 100_000

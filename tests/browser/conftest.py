@@ -1,13 +1,11 @@
 """A real Chromium, and pages to open in it. Tests skip where playwright or Chromium is missing."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from browser_tab import SIZE, Tab
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # for viz_examples
+from tests.browser.browser_tab import SIZE, Tab
 
 CHROMIUM = Path("/usr/bin/chromium")
 
@@ -38,8 +36,7 @@ def scene():
     """MedRUE calibrated, with one outlier among the validation poses."""
     from dataclasses import replace
 
-    from viz_examples import medrue_fit
-
+    from tests.viz.viz_examples import medrue_fit
     from viz.scene import scene_of_fit
 
     shown = scene_of_fit(medrue_fit())

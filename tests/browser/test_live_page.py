@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from browser_tab import Tab
-from test_viz_live import progress
-from viz_examples import five_bar_fit, medrue_fit, medrue_robot
 
 import viz
+from tests.browser.browser_tab import Tab
+from tests.viz.test_viz_live import progress
+from tests.viz.viz_examples import five_bar_fit, medrue_fit, medrue_robot
 
 
 @pytest.fixture(scope="module")

@@ -2,23 +2,20 @@
 
 import json
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-from browser_tab import Tab
-from fleet_figures import ROBOT, made_up, results_of
 
 import calib
-
-EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+from tests.browser.browser_tab import Tab
+from tests.fleets.fleet_figures import ROBOT, made_up, results_of
+from tests.project import EXAMPLES
 
 
 @pytest.fixture(scope="module")
 def report_file(tmp_path_factory):
-    from viz_examples import medrue_fit
-
     import viz
+    from tests.viz.viz_examples import medrue_fit
 
     return viz.report(medrue_fit(), command="calib fit").save(tmp_path_factory.mktemp("pages") / "report.html")
 
@@ -33,9 +30,8 @@ def kept_report(chromium, report_file):
 @pytest.fixture(scope="module")
 def kept_small_report(chromium, tmp_path_factory):
     """The report of a robot of two motors, which is drawn more quickly."""
-    from viz_examples import five_bar_fit
-
     import viz
+    from tests.viz.viz_examples import five_bar_fit
 
     page = viz.report(five_bar_fit()).save(tmp_path_factory.mktemp("pages") / "report.html")
     tab = Tab(chromium, size=(1000, 900)).open(page.as_uri())
@@ -153,9 +149,8 @@ WORDS = """async () => { // where each text of each plot is drawn [px]: [plot, t
 @pytest.mark.parametrize("size", [(1000, 900), (390, 844)])
 def test_texts_of_plots_are_whole_and_numbers_at_an_axis_do_not_touch(show, size, tmp_path_factory):
     """An arm whose joints have the names of real ones, and turn by 360 degrees both ways."""
-    from viz_examples import long_named_fit
-
     import viz
+    from tests.viz.viz_examples import long_named_fit
 
     folder = tmp_path_factory.getbasetemp() / "long_names"
     if not folder.exists():
@@ -243,8 +238,8 @@ REPORTED = {"arm": "mm after", "camera": "px after", "stewart": "mm after"}
 
 def reported(name, folder):
     """A fit of a robot without meshes: of an arm, of an arm that a camera sees, of a Stewart platform."""
-    import test_kind_pixel as pixel
-    from six_axis_arm import joints, write_six_axis
+    from tests.core.instruments import test_kind_pixel as pixel
+    from tests.six_axis_arm import joints, write_six_axis
 
     if name != "camera":
         robot = calib.load(EXAMPLES / f"{name}.yaml")
@@ -355,8 +350,7 @@ def test_plots_are_laid_out_anew_for_paper(small_report):
 
 @pytest.mark.quick(0)
 def test_compared_results_fit_the_window_and_print(show, tmp_path):
-    from viz_examples import medrue_fit
-
+    from tests.viz.viz_examples import medrue_fit
     from viz.comparison_page import comparison_page
 
     fits = [medrue_fit(range(start, 420, 5), range(3, 420, 9)) for start in (0, 1)]

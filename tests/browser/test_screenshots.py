@@ -4,8 +4,8 @@ import io
 
 import pytest
 from PIL import Image
-from viz_examples import medrue_fit
 
+from tests.viz.viz_examples import medrue_fit
 from viz.screenshots import PICTURES, take_one
 
 

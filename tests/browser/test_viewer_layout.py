@@ -5,9 +5,9 @@ import itertools
 
 import numpy as np
 import pytest
-from browser_tab import Tab, slide
-from viz_examples import LONG_NAMES, long_named_fit
 
+from tests.browser.browser_tab import Tab, slide
+from tests.viz.viz_examples import LONG_NAMES, long_named_fit
 from viz.judgement import Judgement
 from viz.remarks import remarks
 from viz.scene import scene_of_fit

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from browser_tab import Tab, slide
 
 import calib
 import viz
+from tests.browser.browser_tab import Tab, slide
 
 
 @pytest.fixture(scope="module")

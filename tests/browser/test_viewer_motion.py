@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser_tab import Tab, slide
 
 import calib
 import viz
+from tests.browser.browser_tab import Tab, slide
 from viz.bodies import posed_robot
 from viz.scene import build_scene
 from viz.viewer_page import scene_page
@@ -127,7 +127,7 @@ def test_nothing_plays_by_itself_and_less_motion_begins_slowly(tab, moving):
 
 @pytest.fixture(scope="module")
 def robots():
-    from viz_examples import medrue_fit
+    from tests.viz.viz_examples import medrue_fit
 
     fit = medrue_fit()
     return {"solid": fit.robot, "ghost": fit.placed}

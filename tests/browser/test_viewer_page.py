@@ -6,9 +6,9 @@ import re
 
 import numpy as np
 import pytest
-from browser_tab import Tab, slide
-from viz_examples import many_poses
 
+from tests.browser.browser_tab import Tab, slide
+from tests.viz.viz_examples import many_poses
 from viz.scene import build_scene
 from viz.scene_data import summary
 from viz.viewer_page import scene_page
@@ -343,7 +343,7 @@ def test_names_from_files_are_shown_as_text(show, scene, tmp_path):
 
 
 def test_a_robot_without_poses_shows_no_controls_for_them(show, tmp_path):
-    from viz_examples import medrue_robot
+    from tests.viz.viz_examples import medrue_robot
 
     tab = show(scene_page(build_scene(medrue_robot())).save(tmp_path / "viewer.html").as_uri())
     for name in ("#pose-block", "#state-block", "#legend", "#ghost-row"):

@@ -5,10 +5,10 @@ import re
 
 import numpy as np
 import pytest
-from browser_tab import Tab
 from PIL import Image
-from viz_examples import five_bar_fit
 
+from tests.browser.browser_tab import Tab
+from tests.viz.viz_examples import five_bar_fit
 from viz.pictures import pages
 
 

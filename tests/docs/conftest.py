@@ -1,7 +1,7 @@
 """The tools of docs/site, importable."""
 
 import sys
-from pathlib import Path
 
-SITE = Path(__file__).parents[2] / "docs" / "site"
-sys.path.append(str(SITE))
+from tests.project import ROOT
+
+sys.path.append(str(ROOT / "docs" / "site"))

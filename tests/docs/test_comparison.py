@@ -2,12 +2,13 @@
 
 import re
 
-import public_data
 import pytest
-from public_data import EXAMPLES, described, markdown, written
 from snippets import DOCS
 
 import calib
+from tests import public_data
+from tests.project import EXAMPLES
+from tests.public_data import described, markdown, written
 
 MOTOMAN = (EXAMPLES / "motoman_right.yaml").read_text().replace("2 mm}", "1 mm}").replace("5 mrad}", "3 mrad}")
 """The example with the priors of the comparison."""

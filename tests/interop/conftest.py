@@ -18,8 +18,8 @@ from calib.exporting.formats import export
 from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
+from tests.project import ROOT
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 Array = np.ndarray
 
 
@@ -60,7 +60,7 @@ class Case:
 def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Case:
     table = table1()
     values = table.nominal if request.param == "nominal" else table.actual
-    robot = calib.load(REPOSITORY / "urdf" / "medrue.yaml").with_parameters(values)
+    robot = calib.load(ROOT / "urdf" / "medrue.yaml").with_parameters(values)
     folder = tmp_path_factory.mktemp(request.param)
     for file_format, name in (("urdf", "robot.urdf"), ("toolbox", "robot.yaml"), ("mjcf", "robot.xml")):
         export(robot, folder / name, file_format)
@@ -169,8 +169,8 @@ def four_bar(tmp_path: Path) -> calib.Robot:
 @pytest.fixture
 def tilted(tmp_path: Path) -> calib.Robot:
     """MedRUE with links out of perpendicular by some mrad: its five-bars are no longer planar."""
-    (tmp_path / "tilted.urdf").write_bytes((REPOSITORY / "urdf" / "medrue.urdf").read_bytes())
-    content = yaml.safe_load((REPOSITORY / "urdf" / "medrue.yaml").read_text(encoding="utf-8"))
+    (tmp_path / "tilted.urdf").write_bytes((ROOT / "urdf" / "medrue.urdf").read_bytes())
+    content = yaml.safe_load((ROOT / "urdf" / "medrue.yaml").read_text(encoding="utf-8"))
     del content["held"], content["elimination_order"]
     content |= {
         "urdf": "tilted.urdf",

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from signed_files import read_plain
 
 import calib
 from calib.core.commands import fit
 from calib.exporting import command as export
+from tests.project import EXAMPLES, ROOT
+from tests.signed_files import read_plain
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-PAGE = (REPOSITORY / "docs" / "other_tools.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "other_tools.md").read_text(encoding="utf-8")
 SNIPPETS = {
     code.splitlines()[0].removeprefix("# "): code for code in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 }
@@ -30,8 +30,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:zmq.eventloop.ioloop is deprecat
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which the page's commands were run."""
     folder = tmp_path_factory.mktemp("page")
-    shutil.copytree(REPOSITORY / "urdf", folder / "urdf")
-    shutil.copytree(REPOSITORY / "docs" / "examples", folder / "docs" / "examples")
+    shutil.copytree(ROOT / "urdf", folder / "urdf")
+    shutil.copytree(EXAMPLES, folder / "docs" / "examples")
     commands = {"fit": fit.command, "export": export.command}
     (block,) = re.findall(r"```bash\n(.*?)```", PAGE, re.DOTALL)
     with pytest.MonkeyPatch.context() as patch:

@@ -78,8 +78,8 @@ s |f| / |R f|, above a. (Where unknowns are scaled, `unit`: others have no such 
 When it fails. It finds the minimum in whose valley it starts; `calib.core.fitting.starts` looks for others. Along
 directions that the residuals hardly see, convergence is measured by the cost: the caller must check the step left.
 
-Tested against the certified answers of NIST's reference problems (tests/test_nist.py); evaluations from loose to tight
-noise: tests/benchmarks/evaluations.py.
+Tested against the certified answers of NIST's reference problems (tests/core/numerics/test_nist.py); evaluations from
+loose to tight noise: tests/benchmarks/evaluations.py.
 Reference: dennis1981 (curvature from differences of Jacobians); walker2011 (Anderson's acceleration); more1983 (the
 step within a ball); transtrum2012 (steps that follow a valley's bend); nist_strd.
 """

@@ -1,0 +1,326 @@
+"""Usual mistakes are named, each made in good measurements of a robot with the expected errors."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.core.data.measurements import with_points
+from calib.core.fitting.likely_mistakes import likely_mistake
+from medrue.closed_form import forward
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+from tests.project import EXAMPLES
+from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
+
+SIGMA = 4e-5
+
+
+@pytest.fixture(scope="module", params=["known"])
+def arm(request, tmp_path_factory):
+    """With an unknown base, the search is the same, but places each robot anew, which takes three times as long."""
+    yaml = YAML.replace("frame: l0", f"frame: l0, pose: {request.param}")
+    return calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), yaml + FREE))
+
+
+@pytest.fixture(scope="module")
+def data(arm):
+    sigmas = np.array([p.sigma_si * (p.prior and not p.placement) for p in arm.parameters])
+    real = arm.with_parameters(arm.values + sigmas * np.random.default_rng(4).standard_normal(len(sigmas)))
+    return noisy(real, joints(60), SIGMA, 1)
+
+
+def joint_changed(data, change):
+    q = data.joints.copy()
+    change(q)
+    return replace(data, joints=q)
+
+
+def test_good_measurements_show_no_mistake(arm, data):
+    assert likely_mistake(arm, data) == ""
+
+
+def test_measurements_of_other_poses_show_no_mistake(arm, data):
+    assert likely_mistake(arm, replace(data, joints=data.joints[::-1])) == ""
+
+
+@pytest.mark.quick(0)
+@pytest.mark.amount(1, 6)
+def test_a_joint_that_counts_the_other_way_is_named(arm, data, amount):
+    for j in (2, 0, 5, 1, 3, 4)[:amount]:
+        wrong = joint_changed(data, lambda q, j=j: q.__setitem__((slice(None), j), -q[:, j]))
+        assert likely_mistake(arm, wrong).startswith(f"probable mistake: joint j{j + 1} has the wrong sign")
+
+
+@pytest.mark.quick(0)
+def test_swapped_columns_are_named(arm, data):
+    wrong = replace(data, joints=data.joints[:, [0, 2, 1, 3, 4, 5]])
+    assert "columns of joints j2 and j3 were swapped" in likely_mistake(arm, wrong)
+
+
+@pytest.mark.parametrize(
+    ("order", "where"),
+    [
+        ([0, 2, 3, 1, 4, 5], "j2, j3, j4 were in another order (j2 in that of j4, j3 in that of j2, j4 in that of j3)"),
+        ([1, 0, 2, 3, 5, 4], "j1, j2, j5, j6 were in another order (j1 in that of j2, j2 in that of j1, j5 in"),
+    ],
+)
+def test_columns_in_another_order_are_named_with_where_each_stands(arm, data, order, where):
+    assert f"the columns of joints {where}" in likely_mistake(arm, replace(data, joints=data.joints[:, order]))
+
+
+@pytest.mark.parametrize("turned", [(1, 4), (0, 1, 4), (0, 1, 3, 5)])
+def test_several_signs_are_named_together(arm, data, turned):
+    wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), turned), -q[:, turned]))
+    names = ", ".join(f"j{j + 1}" for j in turned)
+    assert likely_mistake(arm, wrong).startswith(f"probable mistake: joints {names} have the wrong sign. Corrected")
+
+
+@pytest.mark.parametrize(
+    ("offsets", "words"),
+    [
+        ({2: -90}, "joint j3 counted from another zero (j3 +90 deg would be right)"),
+        ({4: 90}, "joint j5 counted from another zero (j5 -90 deg would be right)"),
+        (
+            {2: 180, 4: 180},
+            "joint j3 counted from another zero (j3 +180 deg would be right) and joint j5 counted from another zero"
+            " (j5 +180 deg would be right)",
+        ),
+    ],
+)
+def test_zeros_that_are_quarter_turns_off_are_named(arm, data, offsets, words):
+    shift = np.radians([offsets.get(j, 0) for j in range(6)])
+    assert likely_mistake(arm, replace(data, joints=data.joints + shift)).startswith(f"probable mistake: {words}")
+
+
+def test_a_turned_joint_with_another_zero_is_named_by_what_would_be_right(arm, data):
+    wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), 2), np.pi / 2 - q[:, 2]))
+    assert "joint j3 counted from another zero (90 deg - j3 would be right)" in likely_mistake(arm, wrong)
+
+
+def test_joint_values_beside_the_wrong_row_are_named(arm, data):
+    above = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])  # beside the next measurement
+    assert "all joint values are one row below their measurements" in likely_mistake(arm, above)
+    below = replace(data.subset(np.arange(len(data) - 1)), joints=data.joints[1:])
+    assert "all joint values are one row above their measurements" in likely_mistake(arm, below)
+
+
+@pytest.mark.amount(1, 4)
+def test_a_shift_is_named_where_rows_are_held_out(arm, data, amount):
+    """The file is shifted, and then split: rows that were neighbours in it need not be so any more."""
+    for rows in (3, -5, -2, 4)[:amount]:
+        n = np.arange(len(data) - abs(rows))
+        joints_, measured = (n, n + rows) if rows > 0 else (n - rows, n)
+        shifted = replace(data.subset(measured), joints=data.joints[joints_], order=None)
+        used, _ = shifted.split(validation=0.25)
+        side = "below" if rows > 0 else "above"
+        assert f"all joint values are {abs(rows)} rows {side} their measurements" in likely_mistake(arm, used)
+
+
+@pytest.mark.amount(1, 5)
+def test_a_scaled_joint_is_named_with_its_factor(arm, data, amount):
+    for joint, factor in ((4, 10 / 9), (0, 1.1), (3, 0.5), (1, 2.0), (5, 0.7))[:amount]:
+        q = data.joints.copy()
+        q[:, joint] *= factor
+        told = likely_mistake(arm, replace(data, joints=q), 0.1)
+        said = re.search(r"joint (j\d) was scaled by ([\d.]+) \+- ([\de.-]+) \(([\d.]+) \* j\d", told)
+        assert said[1] == f"j{joint + 1}"
+        assert abs(float(said[2]) - factor) < max(2 * float(said[3]), 1e-3)
+        assert float(said[4]) == pytest.approx(1 / factor, abs=2e-3)
+        assert ("gon read as degrees" in told) == (factor == 10 / 9)
+
+
+@pytest.mark.parametrize("joint", [1, 3])
+def test_no_scale_is_named_where_a_fit_with_scales_fits_nothing_either(arm, data, joint):
+    """Absolute values, and values of other rows: free scales of all joints halve the noise, and explain nothing."""
+    for change in (np.abs, np.flip):
+        q = data.joints.copy()
+        q[:, joint] = change(q[:, joint])
+        assert "scaled" not in likely_mistake(arm, replace(data, joints=q), 0.4)
+
+
+@pytest.mark.quick(0)
+def test_two_joints_that_are_a_little_scaled_get_no_pass(arm, data):
+    """Three percent of two wrist joints: the nominal robot is off by less than half as much."""
+    wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), [3, 4]), 1.03 * q[:, [3, 4]]))
+    verdict = calib.fit(arm, wrong).verdict
+    assert verdict.grade != "PASS"
+    assert "joint j4 was scaled by 1.03 " in verdict.reasons[0].text
+    assert "joint j5 was scaled by 1.03 " in verdict.reasons[0].text
+    with_gains = calib.fit(arm, wrong, terms="auto").verdict
+    assert with_gains.grade != "PASS"
+    assert "joint j4 0.9709 times as far, joint j5 0.9709 times as far" in str(with_gains)
+
+
+@pytest.mark.amount(1, 3)
+def test_values_mapped_to_a_range_are_named(arm, data, amount):
+    """Columns [deg] hold parts of the range from -3 to 3 rad."""
+    for low, high in ((0, 4095), (-100, 100), (0, 1))[:amount]:
+        mapped = low + (data.joints + 3.0) / 6.0 * (high - low)
+        said = likely_mistake(arm, replace(data, joints=np.radians(mapped)))
+        assert f"mapped from the joints' limits to the range {low} to {high}" in said
+
+
+def with_zeros(arm, data, rows):
+    positions = data.points(arm)
+    positions[list(rows)] = 0.0
+    return with_points(arm, data, positions)
+
+
+def test_readings_of_zero_are_named_alone_and_beside_another_mistake(arm, data):
+    wrong = with_zeros(arm, data, [7, 30])
+    zeros = "probable mistake: 2 readings of exactly 0, 0, 0 (row 7, row 30) were empty"
+    assert likely_mistake(arm, wrong).startswith(f"{zeros}. Corrected")
+    wrong = joint_changed(wrong, lambda q: q.__setitem__((slice(None), 2), -q[:, 2]))
+    assert likely_mistake(arm, wrong).startswith(f"{zeros}, and joint j3 has the wrong sign. Corrected")
+
+
+def test_columns_that_are_copies_are_named(arm, data):
+    wrong = calib.as_measurements(arm, data, data.points(arm)[..., [0, 0, 2]])
+    copied = "column ball_y is a copy of ball_x; they are equal in every row"
+    assert likely_mistake(arm, wrong) == f"probable mistake: {copied}"
+
+
+@pytest.mark.quick(0)
+@pytest.mark.parametrize("arm", ["known", "unknown"], indirect=True)
+@pytest.mark.amount(1, 20)
+def test_healthy_arms_show_no_mistake(arm, amount):
+    sigmas = np.array([p.sigma_si * (p.prior and not p.placement) for p in arm.parameters])
+    for seed in range(amount):
+        real = arm.with_parameters(arm.values + sigmas * np.random.default_rng(seed).standard_normal(len(sigmas)))
+        assert likely_mistake(arm, noisy(real, joints(60, seed), SIGMA, seed)) == ""
+
+
+@pytest.mark.quick(0)
+def test_a_healthy_five_bar_shows_no_mistake(five_bar):
+    robot, data = five_bar
+    generator = np.random.default_rng(1)
+    some = data.subset(np.sort(generator.permutation(len(data))[:25]))
+    assert likely_mistake(robot, some) == ""
+
+
+def test_a_five_bar_with_a_motor_half_a_turn_off_is_told(five_bar):
+    robot, data = five_bar
+    wrong = replace(data, joints=data.joints + np.array([0.0, np.pi]))
+    assert "(right_motor -180 deg would be right)" in likely_mistake(robot, wrong)
+
+
+@pytest.mark.quick(0)
+def test_a_five_bar_with_a_shifted_table_is_told(five_bar):
+    robot, data = five_bar
+    data = data.subset(np.arange(20))
+    shifted = replace(data.subset(np.arange(1, 20)), joints=data.joints[:-1])
+    assert "all joint values are one row below their measurements" in likely_mistake(robot, shifted)
+
+
+@pytest.fixture(scope="module")
+def five_bar():
+    folder = EXAMPLES
+    robot = calib.load(folder / "five_bar.yaml")
+    return robot, calib.read_measurements(folder / "five_bar_simulated.csv", robot)
+
+
+@pytest.fixture(scope="module")
+def motoman(shared_data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("motoman")
+    description = EXAMPLES / "motoman_right.yaml"
+    for file in (description, *(shared_data / "motoman_right" / name for name in ("robot.urdf", "train.csv"))):
+        (folder / file.name).write_bytes(file.read_bytes())
+    robot = calib.load(folder / description.name)
+    return robot, calib.read_measurements(folder / "train.csv", robot)
+
+
+@pytest.mark.quick(0)
+@pytest.mark.amount(1, 2)
+def test_a_healthy_real_arm_shows_no_mistake(motoman, amount):
+    robot, data = motoman
+    generator = np.random.default_rng(1)
+    for _ in range(amount):
+        assert likely_mistake(robot, data.subset(np.sort(generator.permutation(len(data))[:100]))) == ""
+
+
+@pytest.mark.quick(0)
+def test_mistakes_in_the_data_of_a_real_arm_are_named(motoman):
+    robot, data = motoman
+    data = data.subset(np.arange(50))
+    signs = np.array([1, -1, -1, -1, 1, 1, 1])
+    assert "joints S, L, U have the wrong sign" in likely_mistake(robot, replace(data, joints=signs * data.joints))
+    shifted = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])
+    assert "all joint values are one row below their measurements" in likely_mistake(robot, shifted)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(np.degrees(1), "degrees read as radians"), (np.radians(1), "radians read as degrees")],
+)
+def test_angles_in_the_wrong_unit_are_named(arm, data, factor, words):
+    assert words in likely_mistake(arm, replace(data, joints=factor * data.joints))
+
+
+@pytest.mark.amount(3, 8)
+def test_positions_in_the_wrong_unit_are_named(arm, data, amount):
+    units = {
+        1e3: "mm were read as m",
+        1 / 2.54: "tenths of an inch were read as mm",
+        0.2: " times as long as the robot's, which no usual unit explains",
+        1e-3: "m were read as mm",
+        1 / 25.4: "inches were read as mm",
+        1 / 0.0254: "inches were read as m",
+        1 / 304.8: "feet were read as mm",
+        0.1: "cm were read as mm",
+    }
+    for factor, words in list(units.items())[:amount]:
+        assert words in likely_mistake(arm, with_points(arm, data, factor * data.points(arm)))
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda p: p * [1, -1, 1], "y of the measured positions had the wrong sign"),
+        (lambda p: p[..., [2, 1, 0]], "x and z of the measured positions were swapped"),
+        (
+            lambda p: p[..., [1, 2, 0]] * [1, 1, -1],
+            "(x in the column of z, y in the column of x, z in the column of y)",
+        ),
+    ],
+)
+def test_a_left_handed_measurement_frame_is_named(arm, data, change, words):
+    assert words in likely_mistake(arm, with_points(arm, data, change(data.points(arm))))
+
+
+@pytest.mark.quick(0)
+@pytest.mark.parametrize("arm", ["unknown"], indirect=True)
+def test_a_left_handed_frame_somewhere_is_named(arm, data):
+    mistake = likely_mistake(arm, with_points(arm, data, data.points(arm) * [1, -1, 1]))
+    assert "left-handed" in mistake or "y of the measured positions had the wrong sign" in mistake
+
+
+@pytest.mark.quick(0)
+def test_a_closed_loop_robot_whose_loops_stay_open_is_told_the_mistake(medrue):
+    q = np.array(target_workspace().q)[::20]
+    swapped = calib.as_measurements(medrue, q[:, [0, 1, 3, 2, 4, 5]], forward(q, table1().actual).p_world_tool[:, None])
+    with pytest.raises(calib.UnreachablePoseError, match="columns of joints q3 and q4 were swapped"):
+        calib.fit(medrue, swapped)
+
+
+def test_a_first_point_that_is_the_origin_of_the_frame_is_no_lost_sight(arm, data):
+    first = with_points(arm, data, data.points(arm) - data.points(arm)[:1])
+    assert not {"zero_readings", "likely_mistake"} & set(calib.fit(arm, first).verdict.to_dict()["codes"])
+
+
+def test_an_error_names_readings_of_zero_that_no_mistake_explains(arm, data, monkeypatch):
+    def fails(*_):
+        raise calib.ComputationError("the robot cannot be assembled")
+
+    monkeypatch.setattr("calib.core.calibrating.calibrate.minimum_of", fails)
+    wrong = data.points(arm).copy()
+    wrong[[2, 7]] = 0.0
+    dead = with_points(arm, replace(data, joints=data.joints[::-1]), wrong)  # and the rows are other poses'
+    said = "cannot be assembled; 2 poses were read at exactly 0, 0, 0, .*: row 2, row 7; leave them out$"
+    with pytest.raises(calib.ComputationError, match=said):
+        calib.fit(arm, dead)
+    with pytest.raises(calib.ComputationError, match=r"the robot cannot be assembled$"):
+        calib.fit(arm, replace(data, joints=data.joints[::-1]))

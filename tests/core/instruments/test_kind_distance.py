@@ -1,0 +1,217 @@
+"""Distances: a known truth found again, intervals that hold it, and input that cannot be."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.core.numerics.rigid import centre, common_offset
+from calib.core.rows.observed import predict_readings
+from calib.core.rows.registration import register
+from medrue import robot_file
+from tests.kind_checks import chain_error
+from tests.six_axis_arm import joints, write_six_axis
+from tests.small_robots import ARM_YAML, write_arm
+
+FREE = """\
+  - {origin: j2, components: [ry], sigma: 5 mrad}
+  - {origin: j3, components: [ry], sigma: 5 mrad}
+  - {origin: j4, components: [rx], sigma: 5 mrad}
+  - {origin: j5, components: [ry], sigma: 5 mrad}
+  - {origin: j2, components: [x], sigma: 2 mm}
+  - {origin: j3, components: [z], sigma: 2 mm}
+  - {origin: j5, components: [x], sigma: 2 mm}
+"""
+YAML = (
+    """\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+priors: false
+base: {frame: l0}
+targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: unknown}}
+instruments:
+  wire: {kind: distance, target: ball, end: {frame: l0, position: unknown}, offset: unknown}
+  beam: {kind: distance, target: ball, end: {frame: l0, xyz: [1, 0, 0], position: unknown}, sigma: 0.02 mm}
+  gauge: {kind: distance, target: ball, end: {frame: l0, xyz: [0.3, -0.9, 0.1]}, offset: 12 mm}
+parametrisation:
+"""
+    + FREE
+)
+TRUTH = {"j2.ry": 0.01, "j3.ry": -0.02, "j4.rx": 0.01, "j5.ry": 0.015, "j2.x": 0.052, "j3.z": 0.602, "j5.x": 0.397}
+TRUTH |= {"ball.x": 0.08, "ball.y": -0.03, "ball.z": 0.15}
+ENDS = {"wire": [-1.4, 0.0, 0.2], "beam": [0.9, 1.3, -0.4], "gauge": [0.3, -0.9, 0.1]}
+OFFSETS = {"wire": 0.25, "beam": 0.0, "gauge": 0.012}
+SIGMA = 2e-5
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), YAML))
+
+
+def read(truth, q, sigma=0.0, seed=0):
+    """What the three instruments read, by plain numpy."""
+    rng = np.random.default_rng(seed)
+    ball = truth.positions(q)[:, 0]
+    return {
+        name: np.linalg.norm(ball - end, axis=1)[:, None] + OFFSETS[name] + sigma * rng.standard_normal((len(q), 1))
+        for name, end in ENDS.items()
+    }
+
+
+def whole_truth(robot):
+    ends = {f"{name}_end.{axis}": ENDS[name][k] for name in ("wire", "beam") for k, axis in enumerate("xyz")}
+    return {**TRUTH, **ends, "wire.offset": OFFSETS["wire"]}
+
+
+def test_the_truth_is_found_from_bad_first_guesses(arm):
+    q = joints(60, seed=3)
+    truth = arm.with_parameters(TRUTH)
+    result = calib.fit(arm, calib.as_measurements(arm, q, read(truth, q))).robot
+    values = dict(zip([p.name for p in result.parameters], result.values, strict=True))
+    for name, value in whole_truth(arm).items():
+        assert abs(values[name] - value) < 1e-7, name
+
+
+def test_a_fixed_point_and_its_offset_are_placed_before_anything_is_fitted(arm):
+    q = joints(30, seed=4)
+    placed = register(arm, calib.as_measurements(arm, q, read(arm, q)))
+    for name, value in whole_truth(arm).items():
+        if "_end" in name or "offset" in name:
+            assert abs(placed.values[[p.name for p in placed.parameters].index(name)] - value) < 1e-9, name
+
+
+def test_the_fixed_point_of_a_planar_robot_stays_on_the_side_where_it_is_believed(tmp_path):
+    folder = robot_file().parents[1] / "docs" / "examples"
+    for side in (1, -1):
+        yaml = (
+            (folder / "five_bar.yaml").read_text().replace("urdf: five_bar.urdf", f"urdf: {folder / 'five_bar.urdf'}")
+        )
+        yaml = yaml.replace("pose: unknown", "pose: known").replace("sigma: 0.02 mm", "")
+        end = f"{{frame: table, xyz: [0, 0, {0.1 * side}], position: unknown}}"
+        yaml += f"instruments: {{wire: {{kind: distance, target: pen, end: {end}}}}}\n"
+        (tmp_path / "five_bar.yaml").write_text(yaml)
+        robot = calib.load(tmp_path / "five_bar.yaml")
+        q = robot.home + np.random.default_rng(5).uniform(-0.4, 0.4, (20, 2))
+        assert chain_error(robot, q[:4], predict_readings(robot, robot.assemble(q[:4]))) <= 1e-6
+        end = np.array([0.4, -0.3, 0.5 * side])
+        distances = np.linalg.norm(robot.positions(q)[:, 0] - end, axis=1)
+        placed = register(robot, calib.as_measurements(robot, q, {"wire": distances[:, None]}))
+        np.testing.assert_allclose(placed.mechanism.placement("wire_end").translation, end, atol=1e-7)
+
+
+def test_multilateration_in_space_in_a_plane_and_on_a_line():
+    rng = np.random.default_rng(6)
+    points, c = rng.normal(size=(12, 3)), np.array([0.7, -1.1, 2.0])
+    distance = lambda p: np.linalg.norm(p - c, axis=1)  # noqa: E731
+    np.testing.assert_allclose(centre(points, distance(points), np.zeros(3)), c, atol=1e-12)
+    assert abs(common_offset(points, distance(points) + 0.3, np.zeros(3), 0.0) - 0.3) < 1e-12
+    flat = points * [1, 1, 0]
+    np.testing.assert_allclose(centre(flat, distance(flat), np.array([0, 0, 0.1])), c, atol=1e-12)
+    np.testing.assert_allclose(centre(flat, distance(flat), np.array([0, 0, -0.1])), c * [1, 1, -1], atol=1e-12)
+    line = points * [1, 0, 0]
+    result = centre(line, distance(line), np.array([5.0, 0.0, -1.0]))
+    np.testing.assert_allclose(result, [0.7, 0.0, -np.hypot(1.1, 2.0)], atol=1e-12)
+
+
+@pytest.fixture
+def fit_file(tmp_path, run_calib):
+    """Fit a file of three distances and return what was said and the exit code, with (old, new) of the description."""
+
+    def fit(in_yaml=("", "")):
+        robot = calib.load(write_six_axis(tmp_path, YAML))
+        q = joints(30, seed=8)
+        truth = robot.with_parameters(TRUTH)
+        header = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"{name}_distance [mm]" for name in ENDS)])
+        result = np.hstack([q, *(1e3 * values for values in read(truth, q, SIGMA).values())])
+        lines = [header, *(",".join(repr(float(cell)) for cell in row) for row in result)]
+        (tmp_path / "data.csv").write_text("\n".join(lines) + "\n")
+        yaml = YAML.replace(*in_yaml)
+        assert (yaml != YAML) == any(in_yaml)
+        (tmp_path / "arm.yaml").write_text(yaml)
+        run = run_calib("fit", tmp_path / "arm.yaml", tmp_path / "data.csv", "--out", tmp_path / "out")
+        assert len(run.err.strip().splitlines()) <= 1
+        return run
+
+    return fit
+
+
+def test_a_file_of_distances_is_fitted(fit_file, tmp_path):
+    run = fit_file()
+    assert run.code == 0, run.err
+    assert "wire_distance" not in run.err
+    fitted = calib.load(tmp_path / "arm.yaml").with_parameters(
+        calib.core.data.parameter_files.read_parameters(
+            tmp_path / "out" / "parameters.csv", calib.load(tmp_path / "arm.yaml")
+        )
+    )
+    values = dict(zip([p.name for p in fitted.parameters], fitted.values, strict=True))
+    assert abs(values["wire.offset"] - OFFSETS["wire"]) < 1e-3
+    assert abs(values["beam_end.y"] - ENDS["beam"][1]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (("end: {frame: l0, position", "end: {position"), "key 'instruments.wire.end.frame' is missing"),
+        (("end: {frame: l0, position", "end: {frame: l9, position"), "no link or joint 'l9'"),
+        (("offset: unknown", "offset: {value: 3 mm}"), "instruments.wire.offset: give {value: ..., sigma: ...}"),
+        (("offset: unknown", "offset: {value: 3 mm, sgma: 1}"), "unknown key 'sgma'; did you mean 'sigma'"),
+        (("offset: unknown", "offset: 3 deg"), "unit 'deg' is for an angle"),
+        (("-0.9, 0.1]}", "-0.9, 0.1], sigma: 1 mm}"), "sigma is for a place whose position is unknown"),
+    ],
+)
+def test_descriptions_that_cannot_be(fit_file, edit, said):
+    run = fit_file(in_yaml=edit)
+    assert run.code == 2
+    assert said in run.err
+
+
+def test_a_negative_distance_is_named(arm):
+    readings = read(arm, joints(5))
+    readings["gauge"][3] = -0.5
+    columns = {"gauge_distance": readings["gauge"][:, 0]}
+    with pytest.raises(calib.CalibrationError, match="'gauge', reading 4: gauge_distance is -500 mm"):
+        arm.instrument("gauge").values(columns)
+
+
+def test_a_target_at_the_fixed_point_is_an_error(arm):
+    q = joints(5)
+    ball = arm.positions(q)[2, 0]
+    there = arm.with_parameters({f"beam_end.{axis}": ball[k] for k, axis in enumerate("xyz")})
+    data = calib.as_measurements(there, q, read(arm, q))
+    with pytest.raises(calib.CalibrationError, match="instrument 'beam': its target 'ball' is within"):
+        calib.core.rows.observed.observe(there, there.assemble(q), data.readings)
+
+
+def test_a_ballbar_does_not_see_where_the_base_stands_and_check_says_so(tmp_path, run_calib):
+    yaml = YAML.replace("base: {frame: l0}", "base: {frame: l0, pose: unknown}")
+    run = run_calib("check", write_six_axis(tmp_path, yaml))
+    assert run.code == 0, run.err
+    open_lines = run.out.split("Hold one of each of these")[1].split("With all")[0].splitlines()[1:]
+    assert [line.strip() for line in open_lines if line] == [
+        "base.x, base.y, base.z, base.rx, base.ry, base.rz have no effect"
+    ]
+
+
+@pytest.mark.parametrize("error", [-0.01, 0.01])
+def test_an_end_that_errors_of_the_robot_draw_into_the_plane_of_its_motion_is_found(tmp_path, error):
+    """With the arm as drawn, its distances say that the wire ends in the plane, from where no distance sees its height.
+
+    The arm turns about z and slides outwards: its tip is at Rz(turn) (slide + a, b, c), in closed form.
+    """
+    end = "end: {frame: ground, xyz: [1, 1, 1], position: unknown}"
+    yaml = ARM_YAML.partition("parametrisation:")[0]
+    yaml += "instruments: {wire: {kind: distance, target: tip, sigma: 0.01 mm, END}}\npriors: false\n".replace(
+        "END", end
+    )
+    yaml += "parametrisation: [{origin: slide, components: [x], sigma: 5 mm}]\n"
+    robot = calib.load(write_arm(tmp_path, yaml))
+    a, b, c = robot.forward([0.0, 0.0, 0.0], "tip")[:3, 3]
+    q = np.random.default_rng(2).uniform([-2, 0.1, 0], [2, 0.9, 0], (40, 3))
+    out, turn = q[:, 1] + a + error, q[:, 0]
+    tip = np.stack([np.cos(turn) * out - np.sin(turn) * b, np.sin(turn) * out + np.cos(turn) * b, np.full(40, c)], 1)
+    end = np.array([0.9, 0.4, c + 0.03])
+    read = np.linalg.norm(tip - end, axis=1) + np.random.default_rng(3).normal(0, 1e-5, 40)
+    result = calib.fit(robot, calib.as_measurements(robot, q, {"wire": read[:, None]})).parameters
+    for name, true in zip(("slide.x", "wire_end.x", "wire_end.y", "wire_end.z"), (0.25 + error, *end), strict=True):
+        assert abs(result[name].value_si - true) < 5 * result[name].std_si < 5e-3, name

@@ -1,0 +1,169 @@
+"""Orientations and tilts: a known truth found again, intervals that hold it, and input that cannot be."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import calib
+from calib.core.data.measurement_files import format_measurements, read_measurements
+from calib.core.instruments.hand_eye import solve_poses
+from calib.core.instruments.kind import View
+from calib.core.rows.registration import register
+from tests.six_axis_arm import joints, write_six_axis
+
+ANGLES = ("j2.rx", "j3.rx", "j3.rz", "j4.ry", "j4.rz", "j5.rx", "j5.rz", "j6.ry", "j6.rz")
+"""What orientations determine of the arm, where both of its ends are unknown."""
+FREE = "".join(
+    f"  - {{origin: {name}, components: [{', '.join(a.partition('.')[2] for a in ANGLES if a.startswith(name))}],"
+    " sigma: 5 mrad}\n"
+    for name in ("j2", "j3", "j4", "j5", "j6")
+)
+YAML = (
+    """\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+priors: false
+base: {frame: l0, pose: unknown}
+targets: {cell: {frame: l6, orientation: unknown}}
+instruments:
+  sensor: {kind: orientation, target: cell}
+held: [base.x, base.y, base.z]
+parametrisation:
+"""
+    + FREE
+)
+TILTED = YAML.replace("target: cell}", "target: cell, axes: gravity}").replace("base.z]", "base.z, base.rz]")
+TRUTH = dict(zip(ANGLES, [0.01, -0.02, 0.015, 0.008, -0.012, 0.02, -0.007, 0.011, 0.016], strict=True))
+MOUNTED = Rotation.from_rotvec([1.1, -2.0, 0.7])
+TURNED = Rotation.from_rotvec([-0.4, 1.9, 2.2])
+LEVEL = Rotation.from_rotvec([0.03, -0.05, 0.0])
+SIGMA = 1e-4
+
+
+def arm(folder, yaml=YAML):
+    return calib.load(write_six_axis(folder, yaml))
+
+
+def seen(robot, q, base, sigma=0.0, seed=0):
+    """Orientation of the sensor in the measurement frame, by scipy alone."""
+    link = Rotation.from_matrix(robot.with_parameters(TRUTH).forward(q, "l6")[:, :3, :3])
+    noise = sigma * np.random.default_rng(seed).standard_normal((len(q), 3))
+    return Rotation.from_rotvec(noise) * base * link * MOUNTED
+
+
+def tilts(rotation, sigma=0.0, seed=0):
+    """How far the z axis of a sensor leans, seen in its own planes."""
+    up = rotation.inv().apply([0.0, 0.0, 1.0])
+    result = np.stack([np.arctan2(up[:, 1], up[:, 2]), np.arctan2(-up[:, 0], up[:, 2])], axis=1)
+    return result + sigma * np.random.default_rng(seed).standard_normal(result.shape)
+
+
+def upright(robot, n, seed):
+    """Joint values with the sensor less than 75 degrees from level, as inclinometers are used."""
+    q = joints(20 * n, seed)
+    result = tilts(seen(robot, q, LEVEL))
+    return q[np.all(np.abs(result) < np.radians(75), axis=1)][:n]
+
+
+def test_tilts_grow_as_the_sensor_turns_about_its_own_axes(tmp_path):
+    instrument = arm(tmp_path, TILTED).instrument("sensor")
+    turned = Rotation.from_rotvec([[0.3, 0, 0], [0, 0.2, 0], [0, 0, 1.0], [0, 0, 0]]).as_matrix()
+    view = View(turned, np.zeros((4, 3)))
+    expected = [[0.3, 0], [0, 0.2], [0, 0], [0, 0]]
+    np.testing.assert_allclose(instrument.predict(view, np.zeros(0), np.zeros((4, 0))), expected, atol=1e-15)
+
+
+def test_both_ends_are_found_in_closed_form():
+    rng = np.random.default_rng(3)
+    poses = np.tile(np.eye(4), (14, 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = Rotation.random(14, rng).as_matrix(), rng.normal(size=(14, 3))
+    first, second, links = poses[0], poses[1], poses[2:]
+    looked = np.linalg.inv(first) @ links @ second
+    for known in ((False, False), (True, False), (False, True)):
+        now = (first if known[0] else np.eye(4), second if known[1] else np.eye(4))
+        result = solve_poses(links, looked, now, known)
+        np.testing.assert_allclose(result[0], first, atol=1e-12)
+        np.testing.assert_allclose(result[1], second, atol=1e-12)
+
+
+@pytest.mark.parametrize("form", ["quaternion", "rpy", "intrinsic_zyz", "rotation_vector", "matrix"])
+def test_every_form_of_writing_comes_back_and_places_both_ends(tmp_path, form):
+    robot = arm(tmp_path, YAML.replace("target: cell}", f"target: cell, rotation: {form}}}"))
+    q = joints(20, 4)
+    link = Rotation.from_matrix(robot.forward(q, "l6")[:, :3, :3])
+    values = (TURNED * link * MOUNTED).as_rotvec()
+    (tmp_path / "data.csv").write_text(format_measurements(robot, calib.as_measurements(robot, q, {"sensor": values})))
+    placed = register(robot, read_measurements(tmp_path / "data.csv", robot))
+    result = Rotation.from_matrix(placed.mechanism.placement("cell").rotation)
+    assert (result.inv() * MOUNTED).magnitude() < 1e-7
+
+
+def test_the_truth_is_found_from_orientations_with_both_ends_unknown(tmp_path):
+    robot = arm(tmp_path)
+    q = joints(60, 5)
+    fit = calib.fit(robot, calib.as_measurements(robot, q, {"sensor": seen(robot, q, TURNED).as_rotvec()}))
+    values = dict(zip([p.name for p in robot.parameters], fit.robot.values, strict=True))
+    for name, value in TRUTH.items():
+        assert abs(values[name] - value) < 1e-8, name
+
+
+def test_the_truth_is_found_from_tilts_with_an_unknown_mounting_and_level(tmp_path):
+    robot = arm(tmp_path, TILTED)
+    q = upright(robot, 80, 6)
+    fit = calib.fit(robot, calib.as_measurements(robot, q, {"sensor": tilts(seen(robot, q, LEVEL))}))
+    values = dict(zip([p.name for p in robot.parameters], fit.robot.values, strict=True))
+    for name, value in TRUTH.items():
+        assert abs(values[name] - value) < 1e-7, name
+    assert (Rotation.from_matrix(fit.robot.mechanism.placement("cell").rotation).inv() * MOUNTED).magnitude() < 1e-6
+    assert abs(values["base.rx"] - 0.03) + abs(values["base.ry"] + 0.05) < 1e-6
+
+
+def test_a_turn_about_gravity_is_said_not_to_be_determined(tmp_path, run_calib):
+    robot = arm(tmp_path, TILTED.replace("base.z, base.rz]", "base.z]"))
+    q = upright(robot, 60, 7)
+    data = calib.as_measurements(robot, q, {"sensor": tilts(seen(robot, q, LEVEL))})
+    with pytest.raises(calib.CalibrationError, match=r"base\.rz"):
+        calib.fit(robot, data)
+    (tmp_path / "data.csv").write_text(format_measurements(robot, data))
+    run = run_calib("check", tmp_path / "arm.yaml", tmp_path / "data.csv")
+    assert run.code == 0
+    assert "base.rz" in run.out
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (("axes: gravity", "axes: gravty"), "instruments.sensor.axes: unknown value 'gravty'; did you mean 'gravity'"),
+        (("axes: gravity", "axes: gravity, rotation: rpy"), "writes two tilts and no rotations; leave it out"),
+        (("axes: gravity", "axes: gravity, sigma: [1, 1, 1]"), "sigma: an inclinometer has two tilts; give one number"),
+        (("axes: gravity", "axes: all, rotation: euler"), "instruments.sensor.rotation: unknown value 'euler'"),
+        (("target: cell", "target: cel"), "instruments.sensor: no target 'cel'; did you mean 'cell'"),
+    ],
+)
+def test_descriptions_that_cannot_be(tmp_path, run_calib, edit, said):
+    yaml = TILTED.replace(*edit)
+    assert yaml != TILTED
+    run = run_calib("check", write_six_axis(tmp_path, yaml))
+    assert said in run.refusal()
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "said"),
+    [
+        ("sensor_tilt_x [deg],sensor_tilt_y [mm]", "1,2", "column 'sensor_tilt_y': unit 'mm' is for a length"),
+    ],
+)
+def test_files_that_cannot_be(tmp_path, run_calib, header, cells, said):
+    path = write_six_axis(tmp_path, TILTED)
+    (tmp_path / "data.csv").write_text(f"j1,j2,j3,j4,j5,j6,{header}\n0,0,0,0,0,0,{cells}\n")
+    run = run_calib("fit", path, tmp_path / "data.csv", "--out", tmp_path / "out")
+    assert said in run.refusal()
+
+
+def test_numbers_that_are_no_rotation_are_named(tmp_path, run_calib):
+    path = write_six_axis(tmp_path, YAML)
+    columns = ",".join(f"sensor_{q}" for q in ("qx", "qy", "qz", "qw"))
+    (tmp_path / "data.csv").write_text(f"j1,j2,j3,j4,j5,j6,{columns}\n0,0,0,0,0,0,1,1,0,0\n")
+    run = run_calib("fit", path, tmp_path / "data.csv", "--out", tmp_path / "out")
+    assert run.code == 2
+    assert "instrument 'sensor', reading 1: is not a quaternion of length 1; check the columns sensor_qx" in run.err

@@ -1,0 +1,164 @@
+"""Every reason of the verdict is said where it is true, with right numbers, and not where its cause is gone."""
+
+import re
+
+import numpy as np
+import pytest
+
+import calib
+from calib.core.judging.next_step import next_step
+from calib.core.judging.reasons import Code
+from tests.core.judging.situations import GRADES, SIGMA, SITUATIONS, Shop, rms
+from tests.six_axis_arm import joints, measurements, noisy
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory):
+    return Shop(tmp_path_factory.mktemp("shop"))
+
+
+def test_every_reason_has_a_situation_and_nothing_else_has():
+    assert set(SITUATIONS) == set(Code)
+
+
+@pytest.mark.parametrize("code", list(SITUATIONS), ids=str)
+def test_a_reason_is_said_where_it_is_true_and_not_without_its_cause(shop, code):
+    made = shop.situation(code)
+    texts = [reason.text for reason in made.reasons(made.there) if reason.code == code]
+    match = next(filter(None, (re.search(made.says, text) for text in texts)), None)
+    assert match, made.reasons(made.there)
+    assert [float(number) for number in match.groups()] == pytest.approx(list(made.numbers), rel=made.within), texts
+    assert code not in [reason.code for reason in made.reasons(made.gone)], made.gone.verdict
+    if made.rule is None:
+        grades = [reason.grade for reason in made.there.verdict.reasons]
+        assert grades == sorted(grades, key=["FAIL", "CHECK", "PASS"].index)
+    if code in GRADES:
+        (reason,) = (reason for reason in made.there.verdict.reasons if reason.code == code)
+        assert (made.there.verdict.grade, reason.grade) == (GRADES[code], GRADES[code])
+        assert GRADES[code] != "PASS" or (reason.counted and made.there.verdict.claim.holds)
+        assert GRADES[code] != "FAIL" or made.there.verdict.claim is None  # such numbers must not be used
+
+
+@pytest.mark.parametrize(
+    ("code", "cause", "contradicted"),
+    [
+        ("beyond_curves", "worse_on_validation", "no_gain"),  # "no gain beyond the uncertainty" beside "worse"
+        ("likely_mistake", "noise_as_large_as_robot", "systematic"),  # "the target sits 595 mm elsewhere on its link"
+        ("equal_columns", "equal_columns", "instruments_disagree"),
+    ],
+)
+def test_no_reason_stands_beside_what_it_contradicts(shop, code, cause, contradicted):
+    codes = shop.situation(Code(code)).there.verdict.to_dict()["codes"]
+    assert cause in codes
+    assert contradicted not in codes
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "likely_mistake",
+        "misread",
+        "lengths_scaled",
+        "equal_columns",
+        "base_elsewhere",
+        "copied",
+        "zero_readings",
+        "doubtful_readings",
+        "no_noise",
+        "noise_as_large_as_robot",
+        "residuals_grew",
+        "instruments_disagree",
+        "turns_not_counted",
+    ],
+)
+def test_after_a_mistake_the_next_step_is_to_correct_it(shop, code):
+    """Outliers, terms and more poses are no answer to readings that mean something else."""
+    said = next_step(shop.situation(Code(code)).there)
+    assert said.aim == "correct the data or the description as the reasons say, and fit again"
+    assert not re.search("--(exclude|terms|starts|validate)", said.command)
+
+
+def codes_of(fit):
+    return fit.verdict.to_dict()["codes"]
+
+
+def test_readings_from_elsewhere_are_no_outliers_and_no_errors_of_the_robot(shop):
+    moved = shop.situation(Code.FRAME_MOVED).there
+    assert codes_of(moved) == ["frame_moved", "validation"]  # the base is called known, so that it is not placed anew
+    assert not re.search("robot has errors|describes its own", str(moved.verdict))
+    assert next_step(moved).command == "calib fit ROBOT DATA --validate 0.25 --out DIR-2"
+    by_noise = shop.situation(Code.VALIDATION).there
+    assert "There the robot has errors that the poses used do not show" in str(by_noise.verdict)
+
+
+def test_poses_that_lie_close_together_do_not_show_that_a_frame_moved(shop):
+    """What the robot does there, it does at all of them: here, two waves that the model does not have."""
+
+    def measured(q, seed):
+        off = q.copy()
+        off[:, 1:3] += 5e-4 * np.sin(q[:, 1:3] * [2, 3])
+        return measurements(shop.arm, q, noisy(shop.truth, off, SIGMA, seed).points(shop.arm))
+
+    corner = 0.1 * joints(30, 5) + 0.5
+    fit = calib.fit(shop.arm, measured(joints(80), 1), validation=measured(corner, 2))
+    points = fit.validation.data.points(shop.arm)
+    errors = (fit.robot.positions(corner) - points).reshape(-1, 3)
+    assert rms(errors - errors.mean(axis=0)) < 0.3 * rms(errors)
+    assert "frame_moved" not in codes_of(fit)
+
+
+def test_noise_below_its_statement_leads_to_a_smaller_statement_and_not_to_joint_terms(shop):
+    small, other = (noisy(shop.truth, q, size * SIGMA, 1) for q, size in ((joints(80), 0.3), (joints(30, 5), 2.0)))
+    fit = calib.fit(shop.arm, small, sigma=SIGMA, validation=other)
+    assert "noise found is only 0.27 times what was stated" in str(fit.verdict)
+    assert str(next_step(fit)).startswith("state a smaller noise, or leave out what was read twice, and fit again: ")
+    assert "noise" not in codes_of(calib.fit(shop.arm, small, validation=other))
+
+
+def test_noise_that_no_robot_leaves_is_not_taken_apart(shop):
+    """Joint 3 stands 30 mrad sin(3 q) off; half a milliradian of it is named (`SYSTEMATIC`)."""
+    off = joints(80).copy()
+    off[:, 2] += 0.03 * np.sin(3 * off[:, 2])
+    data = measurements(shop.arm, joints(80), noisy(shop.truth, off, SIGMA, 1).points(shop.arm))
+    fit = calib.fit(shop.arm, data, sigma=SIGMA)
+    assert any(pattern.significant for pattern in fit.patterns)
+    assert codes_of(fit) == ["noise"]
+    assert next_step(fit).command == "calib fit ROBOT DATA --sigma-mm 0.04 --out DIR-2"
+
+
+def test_where_one_reading_makes_such_noise_the_next_step_leaves_it_out(shop):
+    points = shop.used.points(shop.arm).copy()
+    points[17] *= 1.5
+    fit = calib.fit(shop.arm, measurements(shop.arm, joints(80), points), sigma=SIGMA)
+    assert fit.verdict.grade == "FAIL"
+    assert codes_of(fit)[0] == "noise"
+    assert next_step(fit).command == "calib fit ROBOT DATA --sigma-mm 0.04 --exclude-outliers --out DIR-2"
+
+
+@pytest.mark.parametrize("code", ["worse_on_validation", "no_gain", "other_minimum", "rank_unclear", "not_linear"])
+def test_where_poses_say_too_little_the_next_step_is_to_measure_others(shop, code):
+    assert next_step(shop.situation(Code(code)).there).command == "calib check ROBOT DATA"
+
+
+def test_where_the_robot_did_not_move_its_noise_is_not_judged(shop):
+    still = shop.situation(Code.POSES_EQUAL).there
+    assert codes_of(still) == ["poses_equal"]
+    assert next_step(still).command == "calib check ROBOT DATA"
+
+
+def test_what_was_tried_is_kept_and_not_offered_again(shop):
+    """Neither outliers nor terms explain what depends on two joints."""
+    there = shop.situation(Code.BLOCKS_DISAGREE).there
+    assert next_step(there).command == "calib fit ROBOT DATA --exclude-outliers --out DIR-2"
+    fit = calib.fit(there.nominal, there.identification.data, terms="auto", exclude_outliers=True)
+    assert "systematic" in codes_of(fit)
+    again = "calib fit ROBOT DATA --terms auto --exclude-outliers --validate 0.25 --out DIR"
+    assert next_step(fit).command == again
+    many = next_step(shop.situation(Code.MANY_EXCLUDED).there)
+    assert many.command == "calib fit ROBOT DATA --exclude-outliers --out DIR-2"
+    assert many.aim.startswith("correct the data")
+
+
+def test_validation_by_poses_that_were_used_leads_to_poses_that_are_held_out(shop):
+    said = next_step(shop.situation(Code.USED_FOR_BOTH).there)
+    assert said.command == "calib fit ROBOT DATA --validate 0.25 --out DIR-2"

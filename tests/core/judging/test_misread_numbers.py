@@ -1,0 +1,358 @@
+"""Numbers that mean something else than they were read as: rotations in another order, lengths in another unit."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import calib
+from calib.core.judging.row_derivatives import length_derivative
+from calib.core.rows.observed import observe, predict_readings
+from tests.core.instruments.test_kind_pose import YAML as POSES
+from tests.project import EXAMPLES
+from tests.six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, write_six_axis
+
+ORDERS = {
+    "qw qx qy qz": lambda q: q[:, [3, 0, 1, 2]],
+    "of inverse rotations": lambda q: (q * [-1, -1, -1, 1])[:, [3, 0, 1, 2]],
+    "were inverse": lambda q: q * [-1, -1, -1, 1],
+}
+
+
+@pytest.fixture(scope="module")
+def poses(tmp_path_factory):
+    """An arm read by a pose sensor, 40 joint values, and where the sensor was: with noise, in a base somewhere."""
+    robot = calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), POSES))
+    q, rng = joints(40), np.random.default_rng(3)
+    T = robot.forward(q, "l6") @ np.block([[np.eye(3), np.array([[0.052], [0.02], [0.1]])], [0, 0, 0, 1]])
+    base = Rotation.from_rotvec([0.3, -0.4, 1.0])
+    points = base.apply(T[:, :3, 3]) + [0.5, -1.0, 0.2] + 2e-5 * rng.standard_normal((40, 3))
+    turns = base * Rotation.from_matrix(T[:, :3, :3]) * Rotation.from_rotvec([0.01, 0.0, -0.02])
+    return robot, q, points, Rotation.from_rotvec(5e-5 * rng.standard_normal((40, 3))) * turns
+
+
+def read(folder, robot, q, points, numbers, columns="qx qy qz qw"):
+    """Measurements from a file with these columns of rotations."""
+    head = [*(f"j{k} [rad]" for k in range(1, 7)), *(f"tracker_{a} [m]" for a in "xyz")]
+    head += [f"tracker_{name}" for name in columns.split()]
+    rows = np.hstack([q, points, numbers])
+    text = "\n".join([",".join(head), *(",".join(map(repr, map(float, row))) for row in rows)])
+    (folder / "data.csv").write_text(text + "\n")
+    return calib.read_measurements(folder / "data.csv", robot)
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("order", [None, *ORDERS])
+def test_quaternions_in_another_order_fail_and_the_order_is_named(poses, tmp_path, order):
+    robot, q, points, turns = poses
+    numbers = turns.as_quat() if order is None else ORDERS[order](turns.as_quat())
+    fit = calib.fit(robot, read(tmp_path, robot, q, points, numbers))
+    codes = fit.verdict.to_dict()["codes"]
+    if order is None:
+        assert "misread" not in codes
+        assert fit.verdict.grade == "PASS"
+        return
+    assert (fit.verdict.grade, codes[0]) == ("FAIL", "misread")
+    assert order in fit.verdict.reasons[0].text
+
+
+def test_quaternions_that_no_order_explains_fail_all_the_same(poses, tmp_path):
+    robot, q, points, turns = poses
+    fit = calib.fit(robot, read(tmp_path, robot, q, points, turns.as_quat()[:, [2, 1, 0, 3]]))
+    assert fit.verdict.reasons[0].code == "misread"
+    assert "look at their order, form, unit and frame" in fit.verdict.reasons[0].text
+
+
+def test_angles_of_another_form_are_named(tmp_path, poses):
+    _, q, points, turns = poses
+    robot = calib.load(write_six_axis(tmp_path, POSES.replace("kind: pose,", "kind: pose, rotation: intrinsic_xyz,")))
+    data = read(tmp_path, robot, q, points, turns.as_euler("xyz"), "rx ry rz")
+    text = calib.fit(robot, data).verdict.reasons[0].text
+    assert "its angles were of the form rpy" in text
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("priors", [True, False])
+@pytest.mark.parametrize("scale", [0.984, 1.0, 1.016])
+def test_lengths_of_another_unit_fail(tmp_path, scale, priors):
+    """1.6 % is what a fortieth of a metre lacks to an inch."""
+    robot = calib.load(write_six_axis(tmp_path, ("" if priors else NO_PRIORS) + YAML + FREE))
+    rng, free = np.random.default_rng(5), robot.is_free
+    values = robot.values + 0.5 * free * rng.standard_normal(len(free)) * [p.sigma_si for p in robot.parameters]
+    points = robot.with_parameters(values).positions(joints(60))
+    fit = calib.fit(robot, measurements(robot, joints(60), scale * points + 4e-5 * rng.standard_normal(points.shape)))
+    if scale == 1.0:
+        assert fit.verdict.grade == "PASS"
+        return
+    assert fit.verdict.grade == "FAIL"
+    text = next(reason.text for reason in fit.verdict.reasons if reason.code == "lengths_scaled")
+    result = re.match(r"all measured lengths are ([\d.]+) % (longer|shorter)", text)
+    assert float(result[1]) == pytest.approx(1.6, abs=0.3)
+    assert result[2] == ("longer" if scale > 1 else "shorter")
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("scale", [0.984, 1.0, 1.016])
+def test_the_noise_of_many_poses_does_not_hide_lengths_of_another_unit(scale):
+    """An arm whose priors take most of the scale up: what is left of it is small beside the squares of noise."""
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+    fit = calib.fit(robot, calib.as_measurements(robot, data.joints, scale * data.points(robot)[:, 0]))
+    assert fit.verdict.grade == ("PASS" if scale == 1.0 else "FAIL")
+    assert ("lengths_scaled" in fit.verdict.to_dict()["codes"]) == (scale != 1.0)
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(("axis", "scale"), [("x", 1.02), ("y", 0.98), ("z", 1.005)])
+def test_lengths_on_another_scale_along_one_axis_are_named_without_a_stated_noise(axis, scale, tmp_path):
+    """Joint origins take much of it up, and the rest may pass for noise where none is stated."""
+    text = (EXAMPLES / "arm.yaml").read_text().replace("arm.urdf", str(EXAMPLES / "arm.urdf"))
+    (tmp_path / "robot.yaml").write_text(text.replace("\nsigma: 0.03 mm", ""))
+    robot = calib.load(tmp_path / "robot.yaml")
+    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+    points = data.points(robot)[:, 0] * np.where(np.array(list("xyz")) == axis, scale, 1.0)
+    verdict = calib.fit(robot, calib.as_measurements(robot, data.joints, points)).verdict
+    assert verdict.grade == "FAIL"
+    text = next(reason.text for reason in verdict.reasons if reason.code == "lengths_scaled")
+    result = re.match(rf"measured lengths along {axis} are ([\d.]+) % (longer|shorter)", text)
+    assert float(result[1]) == pytest.approx(100 * abs(scale - 1), rel=0.1)
+    assert result[2] == ("longer" if scale > 1 else "shorter")
+
+
+@pytest.mark.quick(3)
+@pytest.mark.parametrize(
+    ("form", "scale", "noise"),
+    [
+        ("rotation_vector", 0.98, 5e-5),
+        ("rpy", 1.005, 5e-5),
+        ("quaternion", 1.02, 2e-3),
+        ("quaternion", 1.0, 2e-3),
+        ("rotation_vector", 1.02, 2e-3),
+        ("intrinsic_zyx", 0.98, 2e-3),
+        ("intrinsic_xyz", 1.001, 2e-3),
+        ("rpy", 1.0, 2e-3),
+        ("rpy", 0.8, 2e-3),
+    ],
+)
+def test_angles_of_orientations_on_another_scale_are_named_without_a_stated_noise(tmp_path, form, scale, noise):
+    """Positions fit as before; only the noise that is found of orientations grows, and none is stated."""
+    robot = calib.load(write_six_axis(tmp_path, POSES.replace("target: cell}", f"target: cell, rotation: {form}}}")))
+    q, rng = 0.6 * joints(60), np.random.default_rng(5)
+    T = robot.forward(q, "cell")
+    turns = Rotation.from_rotvec(noise * rng.standard_normal((60, 3))) * Rotation.from_matrix(T[:, :3, :3])
+    sequence = {"rpy": "xyz", "intrinsic_xyz": "XYZ", "intrinsic_zyx": "ZYX"}.get(form)
+    if sequence is None:
+        turns = Rotation.from_rotvec(scale * turns.as_rotvec())
+    else:
+        turns = Rotation.from_euler(sequence, scale * turns.as_euler(sequence))
+    read = np.hstack([T[:, :3, 3] + 3e-5 * rng.standard_normal((60, 3)), turns.as_rotvec()])
+    verdict = calib.fit(robot, calib.as_measurements(robot, q, {"tracker": read})).verdict
+    if abs(scale - 1.0) < 2e-3:
+        assert verdict.grade == "PASS"
+        return
+    assert verdict.grade == "FAIL"
+    if scale < 0.9:  # too far off for a derivative: no factor is named
+        assert [reason.code for reason in verdict.reasons if reason.grade == "FAIL"] == ["misread"]
+        return
+    result = re.match(r"angles of tracker are ([\d.]+) % (larger|smaller)", verdict.reasons[0].text)
+    assert float(result[1]) == pytest.approx(100 * abs(scale - 1), rel=0.2)
+    assert result[2] == ("larger" if scale > 1 else "smaller")
+
+
+@pytest.mark.quick(2)
+@pytest.mark.parametrize(("scale", "grade"), [(1.03, "CHECK"), (0.97, "CHECK"), (1.0, "PASS"), (1.01, "PASS")])
+def test_links_that_are_known_loosely_say_from_which_scale_on_lengths_are_doubted(tmp_path, run_calib, scale, grade):
+    """Seven joints whose links are known to 2 mm: lengths 1 % too long move none of them by two of these sigmas."""
+    given = ("init", "--dh", EXAMPLES / "panda_dh.csv", "--measure", "tracker", "--out", tmp_path / "robot.yaml")
+    assert run_calib(*given).code == 0
+    robot, rng = calib.load(tmp_path / "robot.yaml"), np.random.default_rng(11)
+    own = robot.parameters[: robot.n_origin_parameters]
+    errors = {p.name: p.nominal_si + 0.3 * p.sigma_si * rng.normal() for p in own if not p.placement}
+    q = calib.sample(robot, 70, np.random.default_rng(2)).joints
+    points = scale * (robot.with_parameters(errors).positions(q)[:, 0] + 3e-5 * rng.standard_normal((70, 3)))
+    verdict = calib.fit(robot, calib.as_measurements(robot, q, points)).verdict
+    assert verdict.grade == grade
+    line = next(line for line in verdict.not_covered if line.startswith("a scale error"))
+    assert 10 < float(re.match(r"a scale error below ([\d.]+) mm in 1 m", line)[1]) < 30
+    assert ("lengths_scaled" in [reason.code for reason in verdict.reasons]) == (grade == "CHECK")
+
+
+BARS = """\
+base: {frame: base_link}
+targets: {reflector: {frame: flange, xyz: [20 mm, 0 mm, 50 mm], position: unknown, sigma: 5 mm}}
+instruments:
+  left: {kind: distance, target: reflector, end: {frame: base_link, position: unknown, xyz: [1, 0.8, 0.2]}}
+  right: {kind: distance, target: reflector, end: {frame: base_link, position: unknown, xyz: [1, -0.9, 0.3]}}
+  above: {kind: distance, target: reflector, end: {frame: base_link, position: unknown, xyz: [0.3, 0.1, 1.6]}}
+parametrisation:
+"""
+ALL_BARS = ("left", "right", "above")
+
+
+@pytest.mark.quick(2)
+@pytest.mark.parametrize(
+    ("wrong", "scale", "offset", "grade", "words"),
+    [
+        (("right",), 1.02, 0.0, "FAIL", r"readings of right are 2 % longer"),
+        (("left",), 1.0, 10e-3, "CHECK", r"readings of left are off by \+(9.[5-9]|10.[0-4])\d* mm"),
+        ((), 1.0, 0.0, "PASS", r"^"),
+        (("left",), 1.001, 0.0, "CHECK", r"readings of left are \+(99\d|100\d) ppm too large"),
+        (ALL_BARS, 1.01, 0.0, "CHECK", r"all measured lengths are (1|0.9\d) % longer"),
+        (ALL_BARS, 1.0, 10e-3, "CHECK", r"readings of (left|right|above) are off by"),
+    ],
+)
+def test_a_ballbar_that_reads_wrong_is_no_noise(tmp_path, wrong, scale, offset, grade, words):
+    """No noise is stated: a wrong bar would be weighed down, by the noise that is found of it."""
+    text = (EXAMPLES / "arm.yaml").read_text().replace("arm.urdf", str(EXAMPLES / "arm.urdf"))
+    head, rest = text.split("base: ")[0], text.split("parametrisation:\n")[1]
+    (tmp_path / "robot.yaml").write_text(head + BARS + rest.replace("sigma: 0.03 mm", ""))
+    robot, rng = calib.load(tmp_path / "robot.yaml"), np.random.default_rng(7)
+    values = {p.name: p.nominal_si + 0.7 * p.sigma_si * rng.normal() for p in robot.parameters if not p.placement}
+    q = rng.uniform(*np.radians([[-80, -40, -10, -120, -90, -170], [80, 80, 100, 120, 90, 170]]), (80, 6))
+    true = robot.with_parameters({name: values[name] for name in values if name.startswith("joint")})
+    points = true.positions(q)[:, 0]
+    ends = {"left": [1, 0.8, 0.2], "right": [1, -0.9, 0.3], "above": [0.3, 0.1, 1.6]}
+    bars = {name: np.linalg.norm(points - end, axis=1) + 1e-5 * rng.standard_normal(80) for name, end in ends.items()}
+    read = {name: (scale * bar + offset if name in wrong else bar)[:, None] for name, bar in bars.items()}
+    verdict = calib.fit(robot, calib.as_measurements(robot, q, read)).verdict
+    assert verdict.grade == grade, verdict
+    assert re.search(words, "; ".join(reason.text for reason in verdict.reasons if reason.grade == grade))
+
+
+@pytest.mark.quick(0)
+def test_inches_read_as_millimetres_are_told_as_a_factor():
+    """In percent, lengths 25.4 times too short would be 2440 % shorter, which nothing is."""
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+    fit = calib.fit(robot, calib.as_measurements(robot, data.joints, data.points(robot)[:, 0] / 25.4))
+    text = next(reason.text for reason in fit.verdict.reasons if reason.code == "lengths_scaled")
+    factor = re.match(r"all measured lengths are ([\d.]+) times as long as in the description", text)
+    assert factor
+    assert float(factor[1]) == pytest.approx(1 / 25.4, rel=0.1)
+
+
+@pytest.mark.quick(0)
+def test_gears_that_turn_too_far_are_no_lengths_of_another_unit():
+    """Larger arcs look like longer links: a gain of 1 % of all joints, which the model lacks, like lengths 1 % off."""
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+    middle = np.mean(data.joints, axis=0)
+    points = calib.fit(robot, data).robot.positions(middle + 1.01 * (data.joints - middle))
+    fit = calib.fit(robot, calib.as_measurements(robot, data.joints, points))
+    assert "lengths_scaled" not in fit.verdict.to_dict()["codes"]
+    assert fit.sigma > 1e-4  # which is not what the instrument leaves
+
+
+def test_a_robot_whose_only_length_is_free_is_not_scaled(tmp_path):
+    """A positioner with two axes that meet: its table could shrink to a point, and explain everything."""
+    (tmp_path / "robot.urdf").write_text(
+        '<robot name="positioner"><link name="l0"/><link name="l1"/><link name="l2"/>'
+        '<joint name="j1" type="revolute"><parent link="l0"/><child link="l1"/><axis xyz="0 0 1"/>'
+        '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+        '<joint name="j2" type="revolute"><parent link="l1"/><child link="l2"/><origin rpy="-1.5708 0 -1.5708"/>'
+        '<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>'
+    )
+    (tmp_path / "robot.yaml").write_text(
+        "urdf: robot.urdf\nname_mot: [j1, j2]\nbase: {frame: l0, pose: unknown}\n"
+        "targets: {ball: {frame: l2, position: unknown}}\n"
+        "parametrisation:\n  - {origin: all, components: [x, y, z], sigma: 2 mm}\n"
+        "  - {origin: all, components: [rx, ry, rz], sigma: 5 mrad}\n"
+    )
+    robot = calib.load(tmp_path / "robot.yaml")
+    rng = np.random.default_rng(4)
+    q = rng.uniform(-2.5, 2.5, (80, 2))
+    free = robot.is_free & ~np.array([parameter.placement for parameter in robot.parameters])
+    sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
+    true = robot.with_parameters(
+        np.where(free, robot.values + 0.5 * sigma * rng.standard_normal(len(sigma)), robot.values)
+    )
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    placed = true.with_parameters({"ball.x": 0.5, "ball.y": 0.2})
+    points = placed.positions(q) @ turned.T + [2.0, 0.5, 1.0] + 2e-4 * rng.standard_normal((80, 1, 3))
+    fit = calib.fit(robot, measurements(robot, q, points))
+    assert "lengths_scaled" not in [reason.code for reason in fit.verdict.reasons]
+    assert fit.verdict.grade == "PASS"
+
+
+BOARD = """\
+  ahead: {kind: pixel, target: reflector, points: {a: [0, 0, 0], b: [B mm, 0, 0], c: [0, C mm, 0]}, CAMERA,
+    intrinsics: {fx: 3000, fy: 3000, cx: 2000, cy: 1500}, NOISE: 0.05}
+""".replace("CAMERA", "camera: {frame: base_link, xyz: [3, 0, 0.5], rpy: [-90 deg, 0, 90 deg], pose: unknown}")
+ARTEFACT = """\
+  probe: {kind: touch, target: reflector, NOISE: 0.03 mm, artefact: {frame: base_link, xyz: [0.5, 0, 0.3],
+    pose: unknown, sigma: 5 mm, sigma_angle: 20 mrad, points: {a: [0, 0, 0], b: [B mm, 0, 0], c: [0, C mm, 0]}}}
+"""
+
+
+def described(folder, entries, base="base_link", noise=True, size=1.0):
+    """The example's arm with other instruments, whose artefact is this many times as large."""
+    text = (EXAMPLES / "arm.yaml").read_text().replace("arm.urdf", str(EXAMPLES / "arm.urdf"))
+    head, rest = text.split("base: ")[0], text.split("parametrisation:\n")[1].replace("sigma: 0.03 mm", "")
+    entries = entries.replace(" B mm", f" {200 * size} mm").replace("[B mm", f"[{200 * size} mm")
+    entries = entries.replace("C mm", f"{150 * size} mm")
+    entries = entries.replace("NOISE", "sigma") if noise else re.sub(r", NOISE: [.0-9]+( mm)?", "", entries)
+    target = "targets: {reflector: {frame: flange, xyz: [20 mm, 30 mm, 50 mm], position: unknown, sigma: 5 mm"
+    turned = "" if "touch" in entries else ", orientation: unknown, sigma_angle: 50 mrad"
+    (folder / "robot.yaml").write_text(
+        f"{head}base: {{frame: {base}}}\n{target}{turned}}}}}\ninstruments:\n{entries}parametrisation:\n{rest}"
+    )
+    return calib.load(folder / "robot.yaml")
+
+
+@pytest.mark.quick(2)
+@pytest.mark.parametrize("noise", [True, False])
+@pytest.mark.parametrize(
+    ("entries", "size", "words"),
+    [
+        (BOARD, 1.02, "shorter"),
+        (ARTEFACT, 0.98, "longer"),
+        (BOARD, 0.98, "longer"),
+        (ARTEFACT, 1.02, "shorter"),
+        (BOARD, 1.001, None),
+        (ARTEFACT, 1.001, None),
+        (BOARD, 1.0, None),
+        (ARTEFACT, 1.0, None),
+    ],
+)
+def test_a_board_or_an_artefact_of_another_size_is_named(tmp_path, entries, size, words, noise):
+    """Joint origins, all of which are free, take nearly all of it up, and no noise shows it."""
+    robot, rng = described(tmp_path, entries, noise=noise), np.random.default_rng(7)
+    own = robot.parameters[: robot.n_origin_parameters]
+    errors = {p.name: p.nominal_si + 0.7 * p.sigma_si * rng.normal() for p in own if p.name.startswith("joint")}
+    true = described(tmp_path, entries, size=size).with_parameters(errors)
+    poses = joints(60) if entries is BOARD else calib.sample(true, 60, np.random.default_rng(2))
+    verdict = calib.fit(robot, calib.simulate(true, poses, seed=np.random.default_rng(3))).verdict
+    assert verdict.grade == ("PASS" if words is None else "FAIL"), verdict
+    if words is not None:
+        result = re.match(r"all measured lengths are ([\d.]+) % (longer|shorter)", verdict.reasons[0].text)
+        assert float(result[1]) == pytest.approx(2.0, abs=0.4)
+        assert result[2] == words
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        BOARD,
+        ARTEFACT,
+        ARTEFACT.replace("NOISE", "surface: sphere, radius: 10 mm, NOISE").replace("points:", "radius: 30 mm, points:"),
+        "  table: {kind: touch, target: reflector, surface: plane, radius: 10 mm, places: {flat: {frame: base_link,"
+        " xyz: [0, 0, 0.3], rpy: [0.1, 0.2, 0], position: unknown}}}\n",
+        "  tracker: {kind: pose, target: reflector}\n",
+        "  tracker: {kind: position, target: reflector}\n",
+        "  bar: {kind: distance, target: reflector, end: {frame: base_link, xyz: [1, 0.8, 0.2], position: unknown}}\n",
+    ],
+)
+def test_readings_of_a_robot_of_another_size_change_as_said(tmp_path, entry):
+    """All lengths of the robot, its places and targets grow; the artefact stays."""
+    robot, q, step = described(tmp_path, entry), joints(5), 1e-6
+    readings = predict_readings(robot, robot.assemble(q))
+    own = [robot.unknowns[name] for name in readings]
+    numbers = {k for of in own for k in np.arange(len(robot.values))[of].tolist()}
+    grows = [p.dimension == "length" and k not in numbers for k, p in enumerate(robot.parameters)]
+    larger, smaller = (robot.with_parameters(robot.values * (1 + sign * step * np.array(grows))) for sign in (1, -1))
+    more, less = (observe(of, of.assemble(q), readings) for of in (larger, smaller))
+    for name, columns in length_derivative(robot, robot.assemble(q), readings).items():
+        expected = (more[name].residuals - less[name].residuals) / (2 * step)
+        assert np.any(expected)
+        np.testing.assert_allclose(columns, expected, atol=1e-7 * np.abs(expected).max())

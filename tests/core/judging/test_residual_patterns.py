@@ -1,0 +1,382 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.stats import f
+
+import calib
+from calib.core.data.measurements import directions_of_motion
+from calib.core.judging import findings, residual_patterns
+from calib.core.judging.blind_spots import not_covered
+from calib.core.judging.effect_kinds import Family, Kind, Pattern, describe
+from calib.core.judging.effects import ORDERS, wave_orders
+from tests.six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
+
+SIGMA = 4e-5
+N_WAVES = 3 * 6 * 119
+"""Tests of waves, times three families: six joints that go through less than half a turn show all but the first."""
+
+
+def fitted(arm, q_true, shift=0.0, n=80, seed=3):
+    """A fit of the joint values `joints(n)`, while the robot really stood at q_true."""
+    return calib.fit(arm, noisy_data(arm, arm.positions(q_true) + shift, n, seed))
+
+
+def noisy_data(arm, positions, n=80, seed=3):
+    noise = SIGMA * np.random.default_rng(seed).standard_normal(positions.shape)
+    return measurements(arm, joints(n), positions + noise)
+
+
+def significant(fit):
+    return [pattern for pattern in fit.patterns if pattern.significant]
+
+
+def test_the_direction_of_motion_is_kept_while_a_joint_stands_still():
+    q = np.array([[0, 0], [1, 0], [1, -2], [0.5, -2], [0.5, 3], [0.5, 3]], dtype=float)
+    np.testing.assert_array_equal(directions_of_motion(q), [[0, 0], [1, 0], [1, -1], [-1, -1], [-1, 1], [-1, 1]])
+
+
+def test_a_hold_out_set_keeps_the_directions_of_the_whole_file(arm):
+    data = measurements(arm, joints(10), arm.positions(joints(10)))
+    part = data.subset(np.array([4, 7]))
+    np.testing.assert_array_equal(part.approach_directions, directions_of_motion(data.joints)[[4, 7]])
+
+
+@pytest.mark.parametrize("driver", [1, 3])
+def test_a_joint_that_follows_its_neighbour_is_found(arm, driver):
+    q_true = joints(80)
+    q_true[:, 2] += 2e-3 * q_true[:, driver]
+    (item,) = (
+        pattern for pattern in significant(fitted(arm, q_true)) if pattern.kind == "coupling" and pattern.name == "j3"
+    )
+    assert item.detail == f"j{driver + 1}"
+    assert item.amount == pytest.approx(2e-3, rel=0.1)
+    assert f"joint j3 is off by +2 mrad for each rad of joint j{driver + 1}" in describe(item, arm.mechanism.dimensions)
+
+
+def test_backlash_is_found_with_its_joint_and_size(arm):
+    q = joints(80)
+    half = 1e-4
+    played = q.copy()
+    played[:, 2] += half * directions_of_motion(q)[:, 2]
+    patterns = significant(fitted(arm, played))
+    assert (patterns[0].kind, patterns[0].name) == ("approach", "j3")
+    assert abs(patterns[0].amount) == pytest.approx(half, rel=0.3)
+    words = describe(patterns[0], arm.mechanism.dimensions)
+    assert words.startswith("joint j3 differs by 0.01")
+    assert "deg with the direction of approach" in words
+
+
+def test_patterns_of_very_many_poses_are_judged_on_some_of_them_and_the_claim_on_all(arm, monkeypatch):
+    q = joints(400)
+    q[:, 5] = np.tile([-1.0, 0.0, 1.0, 0.5], 100)  # a regular step of 4 would meet one of these values alone
+    played = q.copy()
+    played[:, 2] += 1e-4 * directions_of_motion(q)[:, 2]
+    data = measurements(arm, q, arm.positions(played) + SIGMA * np.random.default_rng(3).standard_normal((400, 1, 3)))
+    whole = calib.fit(arm, data)
+    assert findings.sample_of_poses(whole) is whole
+    assert whole.budget.n_poses == whole.verdict.claim.at_measured_poses.n_poses == 400
+    monkeypatch.setattr(findings, "MOST_POSES", 100)
+    fit = calib.fit(arm, data)
+    judged = findings.sample_of_poses(fit).identification.data
+    np.testing.assert_array_equal(judged.places // 4, np.arange(100))
+    assert len(np.unique(judged.joints[:, 5])) == 4
+    for each in (whole, fit):
+        assert (significant(each)[0].kind, significant(each)[0].name) == ("approach", "j3")
+        assert abs(significant(each)[0].amount) == pytest.approx(1e-4, rel=0.2)
+    assert fit.budget.n_poses == 100
+    assert fit.verdict.claim == whole.verdict.claim
+    assert fit.verdict.grade == whole.verdict.grade
+    assert any("judged on 100 of 400 poses" in line for line in fit.verdict.not_covered)
+    monkeypatch.setattr(findings, "MOST_POSES", 3)  # too few for a fit
+    fit = calib.fit(arm, data)
+    assert findings.sample_of_poses(fit) is fit
+
+
+def test_a_gear_error_is_found_at_its_joint(arm):
+    q = joints(80)
+    geared = q.copy()
+    geared[:, 1] += 2e-4 * np.sin(3 * q[:, 1])
+    patterns = significant(fitted(arm, geared))
+    assert (patterns[0].kind, patterns[0].name, patterns[0].detail) == ("wave", "j2", "3 cycles a turn")
+    assert patterns[0].amount == pytest.approx(2e-4, rel=0.1)
+    assert ("joint", "j2") in [(pattern.kind, pattern.name) for pattern in patterns]
+
+
+def test_a_tracker_that_moved_while_measuring_is_found(arm):
+    moved = np.zeros((80, 1, 3))
+    moved[50:, 0, 1] = 2e-4
+    patterns = significant(fitted(arm, joints(80), shift=moved))
+    assert patterns[0].kind == "drift"
+    assert "if a tracker or base had moved" in describe(patterns[0], arm.mechanism.dimensions)
+
+
+def test_rows_that_show_a_change_in_their_course_are_not_called_unordered(arm):
+    moved = np.zeros((80, 1, 3))
+    moved[50:, 0, 1] = 2e-4
+    assert not any("random order" in line for line in not_covered(fitted(arm, joints(80), shift=moved)))
+    assert any("random order" in line for line in not_covered(fitted(arm, joints(80))))
+
+
+def test_a_joint_that_slipped_while_measuring_is_found(arm):
+    q = joints(80)
+    q[40:, 2] += 4e-4
+    patterns = significant(fitted(arm, q))
+    assert (patterns[0].kind, patterns[0].name) == ("zero", "j3")
+    assert "joint j3 changes in the course of" in describe(patterns[0], arm.mechanism.dimensions)
+
+
+@pytest.mark.parametrize("rows_kept", [10, 1000], ids=["many rows", "few rows"])
+def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm, monkeypatch, rows_kept):
+    monkeypatch.setattr(residual_patterns, "KEPT", rows_kept)
+    q = joints(80)
+    fit = fitted(arm, q + 2e-4 * np.eye(6)[1] * np.sin(7 * q[:, 1:2]))
+    result = next(p for p in fit.patterns if (p.kind, p.detail) == ("wave", "7 cycles a turn"))
+    setting, linear = findings.setting(fit), findings.linear(fit)
+    by_joint = setting.joint_columns[:, 1]
+    z = by_joint[:, None] * np.repeat(np.column_stack([np.sin(7 * q[:, 1]), np.cos(7 * q[:, 1])]), 3, axis=0)
+    r = linear.rows.residuals
+    span = linear.span[:]
+    left = z - span @ (span.T @ z)
+    coefficients = np.linalg.solve(z.T @ left, z.T @ r)
+    gain = r @ z @ coefficients
+    variance_ratio = (gain / 2) / ((r @ r - gain) / (linear.freedom - 2))
+    assert result.amount == pytest.approx(np.linalg.norm(coefficients), rel=1e-9)
+    assert result.p_value == pytest.approx(N_WAVES * f.sf(variance_ratio, 2, linear.freedom - 2), rel=1e-6, abs=0.0)
+
+
+@pytest.mark.parametrize(("seed", "height"), [(18, 0.0), (3, 8e-5)])
+def test_where_readings_of_a_pose_share_an_error_a_finding_needs_poses_foretold_by_all_others(arm, seed, height):
+    """Fits by numpy, without each pose in turn. The fit of all takes 76 cycles of a sound joint for a finding."""
+    rng, q = np.random.default_rng(seed), joints(60, seed)
+    points = arm.positions(q + height * np.eye(6)[1] * np.sin(5 * q[:, 1:2]))
+    q, points = (np.repeat(x, 3, axis=0) for x in (q, points + SIGMA * rng.standard_normal(points.shape)))
+    poses = calib.Poses(q, tuple(map(str, range(180))), tuple(str(k // 3) for k in range(180)), "test", ())
+    fit = calib.fit(arm, calib.as_measurements(arm, poses, points + SIGMA / 2 * rng.standard_normal(points.shape)))
+    joint, order = (1, 5) if height else (4, 76)
+    tested = (p for p in fit.patterns if (p.kind, p.name) == ("wave", f"j{joint + 1}"))
+    result = next(p for p in tested if p.detail.startswith(f"{order} "))
+    assert result.significant == (height > 0)
+    setting, linear = findings.setting(fit), findings.linear(fit)
+    by_joint = setting.joint_columns[:, joint]
+    phase = np.repeat(order * q[:, joint], 3)
+    span, r = linear.span[:], linear.rows.residuals
+    z = by_joint[:, None] * np.column_stack([np.sin(phase), np.cos(phase)])
+    left = z - span @ np.linalg.lstsq(span, z, rcond=None)[0]
+    gain = np.sum((left @ np.linalg.lstsq(left, r, rcond=None)[0]) ** 2)
+    pose, both, scores = np.repeat(np.arange(60), 9), np.hstack([span, z]), []
+    directions = np.linalg.qr(left)[0]
+    for k in range(60):
+        others, own = pose != k, pose == k
+        scores.append(
+            directions[own].T @ (r[own] - both[own] @ np.linalg.lstsq(both[others], r[others], rcond=None)[0])
+        )
+    inflation = np.sum(np.square(scores)) / (2 * linear.factor**2)
+    ratio = (gain / 2) / ((r @ r - gain) / (linear.freedom - 2)) / inflation
+    assert result.p_value == pytest.approx(N_WAVES * f.sf(ratio, 2, linear.pose_freedom - 2), rel=1e-6, abs=0.0)
+
+
+@pytest.mark.quick(0)
+@pytest.mark.amount(10, 100)
+def test_good_data_show_a_pattern_in_one_set_of_a_hundred(arm, amount):
+    with_patterns = sum(bool(significant(fitted(arm, joints(80), seed=seed))) for seed in range(amount))
+    assert with_patterns <= (4 if amount == 100 else 1)  # chance of more: 0.3 %, and 0.4 %
+
+
+def test_a_constant_shift_is_found_where_nothing_absorbs_it(tmp_path):
+    yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
+    robot = calib.load(write_six_axis(tmp_path, yaml))
+    fit = fitted(robot, joints(80), shift=np.array([0, 0, 3e-5]))
+    assert [(p.kind, p.name) for p in significant(fit)] == [("axis", "z")]
+    assert significant(fit)[0].amount == pytest.approx(-3e-5, abs=1e-5)  # predicted minus measured
+
+
+def test_a_constant_shift_is_not_tested_where_the_base_is_free(tmp_path):
+    robot = calib.load(write_six_axis(tmp_path, YAML.replace("frame: l0", "frame: l0, pose: unknown") + FREE))
+    fit = fitted(robot, joints(80))
+    assert not any(pattern.kind == "axis" for pattern in fit.patterns)
+
+
+def test_enough_data_do_not_make_a_trifle_a_finding(arm):
+    q = joints(3000)
+    played = q.copy()
+    played[:, 2] += 6e-6 * directions_of_motion(q)[:, 2]  # a tenth of the noise at the ball
+    fit = fitted(arm, played, n=3000)
+    trifle = next(p for p in fit.patterns if (p.kind, p.name) == ("approach", "j3"))
+    assert trifle.p_value < 1e-3
+    assert not trifle.significant
+
+
+def test_a_joint_that_always_moves_the_same_way_has_no_direction_to_compare(arm):
+    q = joints(60)
+    q = q[np.argsort(q[:, 0])]
+    positions = arm.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((60, 1, 3))
+    fit = calib.fit(arm, measurements(arm, q, positions))
+    tested = {pattern.name for pattern in fit.patterns if pattern.kind == "approach"}
+    first_pose_only = dataclasses.replace(fit.identification.data, approach=np.ones((60, 6)))
+    again = calib.fit(arm, first_pose_only)
+    assert tested >= {"j2", "j3"}
+    assert not any(pattern.kind == "approach" for pattern in again.patterns)
+
+
+def test_exact_data_are_not_tested(arm):
+    fit = calib.fit(arm, measurements(arm, joints(40), arm.positions(joints(40))))
+    assert fit.patterns == ()
+
+
+def test_nothing_is_put_down_to_a_joint_that_never_moved(tmp_path):
+    """The tracker drifts; joint 1, which stood still, moves the ball in much the same way."""
+    robot = calib.load(write_six_axis(tmp_path, YAML + FREE))
+    q = joints(80)
+    q[:, 0] = 0.2
+    drift = np.linspace(-5, 5, 80)[:, None, None] * SIGMA * np.array([0.0, 1.0, 0.0])
+    noise = SIGMA * np.random.default_rng(3).standard_normal((80, 1, 3))
+    fit = calib.fit(robot, measurements(robot, q, robot.positions(q) + drift + noise))
+    assert "drift" in [pattern.kind for pattern in significant(fit)]
+    assert "j1" not in [pattern.name for pattern in fit.patterns]
+
+
+@pytest.fixture(scope="module")
+def stiff(tmp_path_factory):
+    """The arm with one axis unknown and all lengths known."""
+    yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
+    return calib.load(write_six_axis(tmp_path_factory.mktemp("stiff"), yaml))
+
+
+def course(n=80):
+    return np.linspace(0, 1, n)[:, None, None]
+
+
+def first(fit):
+    return significant(fit)[0]
+
+
+def test_a_wrong_scale_is_found_where_lengths_are_known(stiff):
+    pattern = first(fitted(stiff, joints(80), shift=3e-4 * stiff.positions(joints(80))))
+    assert pattern.kind in ("scale", "axis")
+    scale = next(p for p in fitted(stiff, joints(80), shift=3e-4 * centred(stiff)).patterns if p.kind == "scale")
+    assert scale.significant
+    assert scale.amount == pytest.approx(3e-4, rel=0.1)  # 80 positions of 40 um over 0.6 m leave 2 %
+    assert "lengths that are all read +3" in describe(scale, stiff.mechanism.dimensions)
+
+
+def centred(arm):
+    positions = arm.positions(joints(80))
+    return positions - positions.mean(axis=0)
+
+
+def test_a_turned_frame_is_found_where_the_base_is_known(stiff):
+    turned = np.cross([0.0, 0.0, 3e-4], centred(stiff))
+    assert "turn" in [pattern.kind for pattern in significant(fitted(stiff, joints(80), shift=turned))]
+
+
+def test_a_frame_that_turns_slowly_is_found_without_stated_noise(arm):
+    pattern = first(fitted(arm, joints(80), shift=course() * np.cross([2e-4, 3e-4, 0.0], centred(arm))))
+    assert pattern.kind == "turning"
+    assert "as if a tracker or base had turned" in describe(pattern, arm.mechanism.dimensions)
+
+
+def test_lengths_that_grow_while_measuring_are_found(arm):
+    pattern = first(fitted(arm, joints(80), shift=5e-4 * course() * centred(arm)))
+    assert pattern.kind == "growth"
+    assert "warmed up" in describe(pattern, arm.mechanism.dimensions)
+
+
+def test_an_error_that_follows_a_joint_is_no_sure_change_where_poses_are_sorted_by_it(arm):
+    q = joints(80)
+    q = q[np.argsort(q[:, 1])]
+    noise = SIGMA * np.random.default_rng(3).standard_normal((80, 1, 3))
+    sagged = arm.positions(q + 2e-4 * np.eye(6)[1] * np.sin(2 * q[:, 1:2]))
+    sagging = calib.fit(arm, measurements(arm, q, sagged + noise))
+    assert ("zero", "j2") in [(p.kind, p.name) for p in significant(sagging)]
+    assert findings.changes(sagging) == ()
+    points = arm.positions(q)
+    grown = points + 3e-4 * course() * (points - points.mean(axis=0))
+    assert findings.changes(calib.fit(arm, measurements(arm, q, grown + noise)))[0].kind == "growth"
+
+
+def test_rows_with_a_time_may_stand_in_any_order(arm):
+    shift = course() * np.cross([2e-4, 3e-4, 0.0], centred(arm))
+    data = noisy_data(arm, arm.positions(joints(80)) + shift)
+    order = np.random.default_rng(1).permutation(80)
+    shuffled = dataclasses.replace(data.subset(order), order=None, approach=None)
+    assert "turning" not in [pattern.kind for pattern in significant(calib.fit(arm, shuffled))]
+    timed = dataclasses.replace(shuffled, context={"time": 30.0 * order})
+    assert first(calib.fit(arm, timed)).kind == "turning"
+
+
+def test_a_target_that_slips_is_found_with_its_size_and_row(arm):
+    """The ball sits on link 6, whose axes the true robot turns: the slip is along its z."""
+    q = joints(80)
+    rotation = arm.forward(q, "l6")[:, :3, :3]
+    slip = np.where(np.arange(80) >= 45, 2e-4, 0.0)[:, None] * rotation[:, :, 2]
+    pattern = first(fitted(arm, q, shift=slip[:, None]))
+    assert (pattern.kind, pattern.name) == ("slip", "ball")
+    assert pattern.amount == pytest.approx(2e-4, rel=0.25)
+    row = int(pattern.detail.split()[2])
+    assert abs(row - 45) <= 5  # places are 5 rows apart
+    assert describe(pattern, arm.mechanism.dimensions).startswith(f"from row {row} on, target ball sits")
+
+
+@pytest.mark.parametrize("order", [20, 50])
+def test_a_fast_gear_error_is_found_with_its_cycles_and_height(arm, order):
+    q = joints(80)
+    geared = q.copy()
+    geared[:, 1] += 2e-4 * np.cos(order * q[:, 1] + 0.4)
+    pattern = first(fitted(arm, geared))
+    assert (pattern.kind, pattern.name, pattern.detail) == ("wave", "j2", f"{order} cycles a turn")
+    assert pattern.amount == pytest.approx(2e-4, rel=0.15)
+    assert "0.01" in describe(pattern, arm.mechanism.dimensions)  # 2e-4 rad are 0.0115 deg
+
+
+def test_every_kind_says_its_own_sentence():
+    dimensions = {"turn": "angle", "slide": "length"}
+    said = {kind: describe(Pattern(kind, "turn", 0.0, 2e-5, 3e-4, True, detail="slide"), dimensions) for kind in Kind}
+    assert said == {
+        Kind.AXIS: "a constant shift of +0.3 mm along turn",
+        Kind.TURN: "a turn of the measurement frame (0.02 mm RMS)",
+        Kind.SCALE: "lengths that are all read +300 ppm too long (0.02 mm RMS)",
+        Kind.OFFSET: "readings of turn are off by +0.3 mm (0.02 mm RMS)",
+        Kind.FACTOR: "readings of turn are +300 ppm too large (0.02 mm RMS)",
+        Kind.DRIFT: "a shift in the course of the measurement, as if a tracker or base had moved (0.02 mm RMS)",
+        Kind.TURNING: "a turn in the course of the measurement, as if a tracker or base had turned (0.02 mm RMS)",
+        Kind.GROWTH: "lengths that change in the course of the measurement, as if robot or instrument warmed up"
+        " (0.02 mm RMS)",
+        Kind.SLIP: "slide, target turn sits 0.3 mm elsewhere on its link (0.02 mm RMS)",
+        Kind.LINK: "target turn moves with joint slide, as if it sat on the link behind it, 0.3 mm from where the model"
+        " has it (0.02 mm RMS)",
+        Kind.JOINT: "it follows joint turn (0.02 mm RMS)",
+        Kind.COUPLING: "joint turn is off by +0.3 mrad for each m of joint slide (0.02 mm RMS)",
+        Kind.WAVE: "it follows joint turn with slide, amplitude 0.017 deg (0.02 mm RMS)",
+        Kind.APPROACH: "joint turn differs by 0.034 deg with the direction of approach (0.02 mm RMS)",
+        Kind.ZERO: "joint turn changes in the course of the measurement (0.02 mm RMS)",
+    }
+    assert {kind.family for kind in Kind} == set(Family)
+
+
+@pytest.mark.parametrize(("step", "true", "beyond"), [(5, 1, 71), (20, 3, 93)])
+def test_of_joint_values_on_a_grid_the_lowest_number_of_cycles_is_named(arm, step, true, beyond):
+    """On a grid of 5 degrees 71 cycles are at every pose minus 1 cycle, on one of 20 degrees 93 are 3."""
+    grid = np.deg2rad(step) * np.round(np.rad2deg(joints(80)) / step)
+    assert np.allclose(np.cos(beyond * grid[:, 1]), np.cos(true * grid[:, 1]))
+    assert wave_orders(grid[:, 1]).stop - 1 == 180 // step
+    assert wave_orders(joints(80)[:, 1]).stop == ORDERS.stop
+
+
+def test_a_number_of_cycles_that_few_poses_do_not_determine_is_not_named(arm):
+    q = joints(16)
+    geared = q.copy()
+    geared[:, 1] += 3e-3 * np.sin(41 * q[:, 1])
+    waves = [p for p in fitted(arm, geared, n=16).patterns if p.kind == "wave" and p.name == "j2"]
+    assert [p.detail for p in waves] == ["a number of cycles a turn that these poses do not determine"]
+    assert "joint j2 with a number of cycles a turn that" in describe(waves[0], arm.mechanism.dimensions)
+
+
+def test_no_range_of_cycles_is_named_that_is_all_that_were_tried(arm):
+    """On eleven poses beside 26 parameters any number of cycles explains the residuals."""
+    q = joints(11)
+    geared = q.copy()
+    geared[:, 1] += 3e-3 * np.sin(41 * q[:, 1])
+    waves = [p.detail for p in fitted(arm, geared, n=11).patterns if p.kind == "wave"]
+    assert waves
+    assert all(not detail.startswith(("1 to ", "2 to ")) for detail in waves)

@@ -1,0 +1,124 @@
+"""`calib compare`: only what measurements tell apart is called a real difference."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import calib
+from calib.core.results.comparing_results import difference_covariance, holm
+from tests.saved_results import with_verdict
+from tests.small_robots import ARM_YAML, write_arm
+
+SIGMA = 3e-5
+
+
+@pytest.fixture(scope="module")
+def fits(robot, tmp_path_factory):
+    """Result folders of one simulated robot measured twice, and once more after one of its joints was shifted."""
+    generator = np.random.default_rng(3)
+    sigma = np.array([0.0 if p.placement else p.sigma_si for p in robot.parameters])
+    truth = robot.with_parameters(robot.values + sigma * generator.normal(size=len(sigma)))
+    place = [p.name for p in robot.parameters].index("joint_3.z")
+    shifted = truth.with_parameters({"joint_3.z": truth.values[place] + 1e-4})
+    unseen = calib.sample(robot, 20, generator)
+    held = [calib.simulate(robot_of_fit, unseen, SIGMA, seed=9) for robot_of_fit in (truth, truth, shifted)]
+    folder = tmp_path_factory.mktemp("results")
+    for name, item, check in zip(("before", "again", "shifted"), (truth, truth, shifted), held, strict=True):
+        data = calib.simulate(item, calib.sample(robot, 50, generator), SIGMA, generator)
+        calib.fit(robot, data, validation=check).save(folder / name, pages=False)
+    return folder
+
+
+def test_the_covariance_of_a_difference_is_that_of_two_estimators_with_one_prior():
+    generator = np.random.default_rng(1)
+    sigma, none = np.array([0.5, 2.0, 1.0]), 1e9  # the last has no prior
+    precision = np.array([1 / 0.5**2, 1 / 2.0**2, 0.0])
+    spread = np.diag(np.append(sigma[:2], none) ** 2)
+    gains, covariances = [], []
+    for n in (4, 7):
+        jacobian = generator.normal(size=(n, 3))
+        covariances.append(np.linalg.inv(jacobian.T @ jacobian + np.diag(precision)))
+        gains.append((covariances[-1] @ jacobian.T, jacobian))
+    (K_a, J_a), (K_b, J_b) = gains
+    by_truth = K_a @ J_a - K_b @ J_b
+    by_truth[:, 2] = 0.0  # without a prior the estimate follows x: K J has a column of the unit matrix
+    np.testing.assert_allclose((K_a @ J_a)[:, 2], [0, 0, 1], atol=1e-12)
+    expected = by_truth @ spread @ by_truth.T + K_a @ K_a.T + K_b @ K_b.T
+    np.testing.assert_allclose(difference_covariance(*covariances, precision), expected, rtol=1e-9)
+
+
+def test_holm_on_a_published_pattern():
+    corrected = holm(np.array([0.01, 0.04, np.nan, 0.03, 0.005]))
+    np.testing.assert_allclose(corrected, [0.03, 0.06, np.nan, 0.06, 0.02])
+    assert np.all(np.isnan(holm(np.array([np.nan]))))
+
+
+def test_the_shifted_joint_is_a_real_difference_and_nothing_is_between_two_measurements_of_one_robot(fits):
+    comparison = calib.compare(fits / "before", fits / "again", fits / "shifted")
+    real = {difference.name: difference.real for difference in comparison.differences if any(difference.real)}
+    assert real["joint_3.z"] == (False, True)
+    assert not any(again for again, _ in real.values())
+    assert comparison.joint_p_values[0] > 0.01
+    assert comparison.joint_p_values[1] < 1e-6
+    row = next(difference for difference in comparison.differences if difference.name == "joint_3.z")
+    assert row.rows[2]["value"] - row.rows[0]["value"] == pytest.approx(0.1, abs=0.03)  # 4 sigma of the difference
+    pairs = {pair.names: pair for pair in comparison.pairs}
+    assert list(pairs) == [("before", "again"), ("before", "shifted"), ("again", "shifted")]
+    assert ["joint_3.z" in pair.real for pair in pairs.values()] == [False, True, True]
+    assert pairs["again", "shifted"].together < 1e-6
+    unseen_by_all = next(
+        difference for difference in comparison.differences if difference.name == "joint_1.x"
+    )  # the base takes it up
+    assert np.all(np.isnan(unseen_by_all.p_values))
+
+
+def test_errors_are_on_the_same_rows_where_there_are_any(fits, tmp_path):
+    same = calib.compare(fits / "before", fits / "again")
+    result = json.loads((fits / "before" / "result.json").read_text())
+    assert same.errors_on == ("the same 20 readings not used",) * 2
+    assert same.errors[0] == pytest.approx(result["errors"]["validation"]["after"]["rms"])
+    assert calib.compare(fits / "before", fits / "shifted").errors_on == ("readings that it did not use",) * 2
+
+
+def test_a_failed_fit_is_not_tested(fits, tmp_path):
+    shutil.copytree(fits / "again", tmp_path / "failed")
+    with_verdict(tmp_path / "failed", "FAIL", "not to be used")
+    comparison = calib.compare(fits / "before", tmp_path / "failed")
+    assert np.isnan(comparison.joint_p_values[0])
+    assert "FAIL" in comparison.report()
+
+
+@pytest.mark.quick(0)
+def test_the_command_prints_one_short_table_and_writes_json_and_a_page(run_calib, fits, tmp_path):
+    run = run_calib("compare", fits / "before", fits / "shifted")
+    assert run.code == 0
+    assert len(run.out.splitlines()) < 20
+    answer, *_ = run.out.split("\n\n")
+    assert "1 parameter of the robot differs, joint_3.z" in " ".join(answer.split())  # what was asked stands first
+    table = json.loads(run_calib("compare", fits / "before", fits / "shifted", "--json", "-").out)
+    page = tmp_path / "compared.html"
+    assert run_calib("compare", fits / "before", fits / "again", "--html", page, "--quiet").code == 0
+    assert "joint_3.z" in page.read_text()
+    assert 'id="same-rows"' in page.read_text()
+    row = next(row for row in table["parameters"] if row["name"] == "joint_3.z")
+    assert row["real"] == [True]
+    assert next(row for row in table["parameters"] if row["name"] == "joint_1.x")["p_values"] == [None]
+
+
+def test_bad_input_is_one_line(run_calib, fits, tmp_path):
+    other = calib.load(write_arm(tmp_path, ARM_YAML + "sigma: 20 um\n"))
+    q = np.random.default_rng(0).uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (30, 3))
+    calib.fit(other, calib.simulate(other, q, 2e-5, 1)).save(tmp_path / "other", pages=False)
+    for arguments, words in (
+        ([fits / "before"], "1 result given; give two or more"),
+        ([fits / "before", fits / "again", fits / "before"], "is given twice"),
+        ([fits / "before", fits / "again", "--html", tmp_path / "no" / "x.html"], "no such file or directory"),
+        ([fits / "before", tmp_path / "nowhere"], "holds no result"),
+        ([fits / "before", tmp_path / "other"], "is the result of another robot"),
+    ):
+        run = run_calib("compare", *arguments)
+        assert run.code == 2
+        assert words in run.err
+        assert len(run.err.splitlines()) == 1

@@ -1,0 +1,294 @@
+"""Compliance under gravity: torques against potential energy by other code, derivatives, recovery, through a loop."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib
+from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
+from calib.core.robots.terms.term import Context
+from tests.kind_checks import assert_terms_move_positions_as_differences_say
+from tests.project import EXAMPLES
+
+G = 9.81
+STEP = 1e-5
+HEADER = "turn [rad],lift [rad],bend [rad],ball_x [m],ball_y [m],ball_z [m]"
+
+ARM = """\
+<robot name="arm">
+  <link name="base"><inertial><mass value="30"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="post"/><origin xyz="0 0 0.3"/>
+    <axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <link name="post"><inertial><origin xyz="0.05 0 0.1"/><mass value="8"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="lift" type="revolute"><parent link="post"/><child link="upper"/><origin xyz="0.1 0 0.2"/>
+    <axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <link name="upper"><inertial><origin xyz="0.2 0 0.03"/><mass value="6"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="bend" type="revolute"><parent link="upper"/><child link="fore"/><origin xyz="0.5 0 0"/>
+    <axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <link name="fore"><inertial><origin xyz="0.25 0 0"/><mass value="3"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="mount" type="fixed"><parent link="fore"/><child link="tool"/><origin xyz="0.4 0 0"/></joint>
+  <link name="tool"><inertial><origin xyz="0 0 0.1"/><mass value="2"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+</robot>
+"""
+ARM_YAML = """\
+urdf: arm.urdf
+name_mot: [turn, lift, bend]
+base: {frame: base}
+targets: {ball: {frame: tool, xyz: [0, 0, 0.15]}}
+parametrisation:
+  - {origin: lift, components: [x, z], sigma: 1 mm}
+  - {origin: bend, components: [x], sigma: 1 mm}
+  - {joint: all, term: compliance}
+"""
+
+
+def arm_at(q):
+    """Where the ball is and the potential energy of an arm with these joints (3,), by trigonometry alone."""
+    turn, lift, bend = q
+
+    def along(angle, x, z):  # a vector of the link, turned about y: x forward, z up
+        return np.array([np.cos(angle) * x + np.sin(angle) * z, -np.sin(angle) * x + np.cos(angle) * z])
+
+    shoulder = np.array([0.1, 0.5])
+    elbow = shoulder + along(lift, 0.5, 0)
+    tool = elbow + along(lift + bend, 0.4, 0)
+    centres = [
+        (6.0, shoulder + along(lift, 0.2, 0.03)),
+        (3.0, elbow + along(lift + bend, 0.25, 0)),
+        (2.0, tool + along(lift + bend, 0, 0.1)),
+    ]
+    out, up = tool + along(lift + bend, 0, 0.15)
+    return np.array([np.cos(turn) * out, np.sin(turn) * out, up]), sum(G * mass * centre[1] for mass, centre in centres)
+
+
+def five_bar_at(q):
+    """The same of the five-bar of the examples put upright, its two arms met by the intersection of two circles."""
+    motors = np.array([[-0.1, 0.0], [0.1, 0.0]])
+    elbows = motors + 0.2 * np.stack([np.cos(q), np.sin(q)], axis=1)
+    middle, apart = elbows.mean(axis=0), elbows[1] - elbows[0]
+    half = np.linalg.norm(apart) / 2
+    tip = middle + np.sqrt(0.3**2 - half**2) * np.array([-apart[1], apart[0]]) / (2 * half)
+    heights = [(motors[k, 1] + elbows[k, 1]) / 2 for k in (0, 1)] + [(elbows[k, 1] + tip[1]) / 2 for k in (0, 1)]
+    return np.array([*tip, 0.02]), sum(G * 0.2 * height for height in heights)
+
+
+def torques(at, q):
+    """dU/dq by central differences, which through a loop is virtual work, (n, n_joints)."""
+    steps = STEP * np.eye(q.shape[1])
+    return np.array([[(at(row + step)[1] - at(row - step)[1]) / (2 * STEP) for step in steps] for row in q])
+
+
+def arm(folder):
+    (folder / "arm.urdf").write_text(ARM)
+    (folder / "arm.yaml").write_text(ARM_YAML)
+    return calib.load(folder / "arm.yaml"), arm_at
+
+
+def upright_five_bar(folder):
+    """The table stands on its edge: what was y is up."""
+    stand = '<link name="wall"/><joint name="stand" type="fixed"><parent link="wall"/><child link="table"/>'
+    stand += f'<origin rpy="{np.pi / 2!r} 0 0"/></joint></robot>'
+    text = (EXAMPLES / "five_bar.urdf").read_text().replace("</robot>", stand)
+    (folder / "five_bar.urdf").write_text(text)
+    description = (EXAMPLES / "five_bar.yaml").read_text().replace("pose: unknown", "pose: known")
+    (folder / "five_bar.yaml").write_text(
+        f"{description}\njoint_terms: [{{joint: all, term: compliance, sigma: 0.001}}]\n"
+    )
+    return calib.load(folder / "five_bar.yaml"), five_bar_at
+
+
+@pytest.fixture(params=[arm, upright_five_bar])
+def machine(request, tmp_path):
+    return request.param(tmp_path)
+
+
+def poses(robot, n, seed):
+    return robot.home + np.random.default_rng(seed).uniform(-0.4, 0.4, (n, len(robot.home)))
+
+
+def test_torques_are_the_slope_of_the_potential_energy(machine):
+    robot, at = machine
+    q = poses(robot, 12, 0)
+    columns = np.concatenate(term_columns(robot, q), axis=2)[:, 0]
+    # differences of some 10 J by 1e-5 rad are good to 1e-9 N m, and their curvature to as much
+    assert np.allclose(columns, torques(at, q), rtol=0, atol=1e-6)
+    assert np.abs(columns).max() > 0.3
+
+
+def test_columns_agree_with_central_differences(machine):
+    robot, _ = machine
+    q = poses(robot, 6, 1)
+    values = robot.values.copy()
+    values[robot.coefficients] = 3e-4
+    assert_terms_move_positions_as_differences_say(robot.with_parameters(values), q)
+
+
+def test_compliance_is_recovered_from_data_of_other_code(machine):
+    robot, at = machine
+    # origins known: over these poses, those of the five-bar can do nearly what its bending does
+    held = tuple(p.name for p in robot.parameters[: robot.n_origin_parameters])
+    robot = replace(robot, description=robot.description.model_copy(update={"held": held}))
+    q = poses(robot, 80, 2)
+    given = np.array([0.0, 6e-5, 9e-5]) if len(q[0]) == 3 else np.array([4e-4, 7e-4])
+    measured = np.array([at(row)[0] for row in q + given * torques(at, q)])
+    measured += 1e-5 * np.random.default_rng(3).standard_normal(measured.shape)
+    fit = calib.fit(robot, calib.as_measurements(robot, q, measured), sigma=1e-5)
+    assert fit.converged
+    index = [k for k, name in enumerate(fit.free_names) if name.endswith(".compliance")]
+    values, std = fit.robot.values[robot.coefficients], fit.statistics.std[index]
+    assert np.all(np.abs(values - given)[given > 0] < 4 * std[given > 0])
+    assert np.all(std[given > 0] < 0.05 * given[given > 0])
+
+
+KNEE = 2.0  # N m
+PLAY = """\
+  - {origin: lift, components: [ry], sigma: 3 mrad}
+  - {origin: bend, components: [ry], sigma: 3 mrad}
+  - {joint: all, term: gravity_backlash, torque: 2}
+sigma: 0.02 mm
+"""
+HALF, SOFT, ZERO = np.array([0, 4e-4, 3e-4]), np.array([0, -2e-5, -3e-5]), np.array([0, 1e-3, -2e-3])
+
+
+def played(folder, low, high):
+    """A fit to 60 poses of the arm between these joint values, by other code: play, compliance and joint zeros."""
+    (folder / "arm.urdf").write_text(ARM)
+    (folder / "arm.yaml").write_text(ARM_YAML + PLAY)
+    robot, rng = calib.load(folder / "arm.yaml"), np.random.default_rng(1)
+    q = rng.uniform(low, high, (60, 3))
+    tau = torques(arm_at, q)
+    points = np.array([arm_at(row)[0] for row in q + HALF * -tau / np.sqrt(tau**2 + KNEE**2) + SOFT * tau + ZERO])
+    fit = calib.fit(robot, calib.as_measurements(robot, q, points + 2e-5 * rng.standard_normal(points.shape)))
+    std = dict(zip(fit.free_names, fit.statistics.std, strict=True))
+    values = dict(zip((p.name for p in robot.parameters), fit.robot.values, strict=True))
+    return robot, tau, values, std
+
+
+def test_play_that_gravity_takes_up_is_found_where_gravity_changes_its_side(tmp_path):
+    robot, tau, values, std = played(tmp_path, -2.0, 2.0)
+    assert np.all(tau[:, 1:].min(axis=0) < -5 * KNEE)
+    assert np.all(tau[:, 1:].max(axis=0) > 5 * KNEE)
+    for name, half in (("lift", HALF[1]), ("bend", HALF[2])):
+        name += ".gravity_backlash"
+        assert abs(values[name] - half) < 4 * std[name] < 0.4 * half
+    q = poses(robot, 8, 9)
+    play = robot.with_parameters({"lift.gravity_backlash": HALF[1], "turn.gravity_backlash": HALF[1]})
+    side = -torques(arm_at, q)[:, 1] / np.sqrt(torques(arm_at, q)[:, 1] ** 2 + KNEE**2)
+    actual = actual_joints(play, q, term_columns(play, q))
+    assert np.allclose((actual - q)[:, 1], HALF[1] * side, rtol=0, atol=1e-9)
+    assert np.allclose((actual - q)[:, 0], 0.0, rtol=0, atol=1e-12)  # its axis is vertical: gravity decides nothing
+    assert np.allclose(commands_for(play, actual), q, rtol=0, atol=1e-9)
+
+
+def test_play_that_gravity_holds_on_one_side_is_a_zero_of_the_joint(tmp_path):
+    robot, tau, _values, std = played(tmp_path, [-2.0, -0.3, -0.3], [2.0, 0.3, 0.2])
+    assert np.all(tau[:, 1:].max(axis=0) < -3 * KNEE)
+    for name in ("lift", "bend"):
+        expected = robot.parameters[f"{name}.gravity_backlash"].sigma_si
+        assert std[f"{name}.gravity_backlash"] > 0.8 * expected  # the prior alone holds it
+        assert std[f"{name}.ry"] > 0.8 * expected
+
+
+@pytest.mark.parametrize("upright", [-1, 1])
+def test_commands_across_a_change_of_side_are_found_or_unknown(tmp_path, upright):
+    (tmp_path / "arm.urdf").write_text(ARM)
+    (tmp_path / "arm.yaml").write_text(ARM_YAML + PLAY.replace("torque: 2", "torque: 0.05"))
+    robot = calib.load(tmp_path / "arm.yaml").with_parameters({"lift.gravity_backlash": 5e-3})
+    lift = upright * np.pi / 2 + np.linspace(-0.15, 0.15, 201)  # the arm stands upright between, or hangs down
+    actual = np.stack([0 * lift, lift, 0 * lift], axis=1)
+    commands = commands_for(robot, actual)
+    known = np.isfinite(commands).all(axis=1)
+    back = actual_joints(robot, commands[known], term_columns(robot, commands[known]))
+    assert np.allclose(back, actual[known], rtol=0, atol=1e-9)
+    assert np.mean(known) > 0.9
+
+
+def loaded(robot, load, **changes):
+    """A robot with these changes of its description, and the conditions of visits that carry these masses."""
+    robot = replace(robot, description=robot.description.model_copy(update=changes))
+    context = Context.neutral(len(load), len(robot.joint_names))
+    return robot, replace(context, load=load)
+
+
+def lifted(at, height, q):
+    """The torque of one kilogram at a point of this height, by central differences, (n, n_joints)."""
+    steps = STEP * np.eye(q.shape[1])
+    return np.array([[G * (height(row + e) - height(row - e)) / (2 * STEP) for e in steps] for row in q])
+
+
+def test_a_payload_loads_the_joints_as_a_body_there_would(tmp_path):
+    robot, at = arm(tmp_path)
+    q, load = poses(robot, 12, 4), np.linspace(0.0, 7.0, 12)
+    loaded_robot, context = loaded(robot, load)
+    columns = np.concatenate(term_columns(loaded_robot, q, context), axis=2)[:, 0]
+    by_height = lifted(at, lambda row: at(row)[0][2], q)  # at the first target
+    assert np.allclose(columns, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
+    model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
+    frame = model.frames[model.getFrameId("tool")]
+    for k, row in enumerate(q):
+        carrying = model.copy()
+        place = frame.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.15]))
+        carrying.appendBodyToJoint(frame.parentJoint, pin.Inertia(load[k], np.zeros(3), np.zeros((3, 3))), place)
+        assert np.allclose(columns[k], pin.computeGeneralizedGravity(carrying, carrying.createData(), row), atol=1e-9)
+
+
+def test_a_payload_loads_joints_through_a_loop(tmp_path):
+    robot, at = upright_five_bar(tmp_path)
+    q, load = poses(robot, 12, 5), np.linspace(0.0, 2.0, 12)
+    loaded_robot, context = loaded(robot, load)
+    columns = np.concatenate(term_columns(loaded_robot, q, context), axis=2)[:, 0]
+    by_height = lifted(at, lambda row: at(row)[0][1], q)
+    assert np.allclose(columns, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
+    assert np.abs(by_height).max() > 0.3
+
+
+def test_a_payload_hangs_where_the_description_says(tmp_path):
+    robot, at = arm(tmp_path)
+    q = poses(robot, 5, 6)
+    elbow, context = loaded(robot, np.full(5, 3.0), payload="fore")
+    result = np.concatenate(term_columns(elbow, q, context), axis=2)[:, 0] - torques(at, q)
+    by_height = lifted(at, lambda row: 0.5 - 0.5 * np.sin(row[1]), q)
+    assert np.allclose(result, 3.0 * by_height, rtol=0, atol=1e-6)
+    (tmp_path / "arm.yaml").write_text(ARM_YAML + "payload: fare\n")
+    with pytest.raises(calib.DescriptionError, match="payload: no link, joint or target 'fare'; did you mean 'fore'"):
+        calib.load(tmp_path / "arm.yaml")
+    (tmp_path / "arm.yaml").write_text(ARM_YAML + "payload: base\n")
+    with pytest.raises(calib.DescriptionError, match="payload: no motor moves 'base'"):
+        calib.load(tmp_path / "arm.yaml")
+
+
+def test_compliance_is_recovered_from_a_file_with_a_payload_alone(tmp_path, run_calib):
+    _, at = arm(tmp_path)
+    (tmp_path / "arm.urdf").write_text(re.sub("<inertial>.*?</inertial>", "", ARM, flags=re.DOTALL))
+    robot = calib.load(tmp_path / "arm.yaml")
+    with pytest.raises(calib.DescriptionError, match="needs masses, and the URDF has none"):
+        robot.assemble(robot.home)
+    (tmp_path / "arm.yaml").write_text(ARM_YAML + "payload: ball\nsigma: 0.01 mm\n")
+    robot = calib.load(tmp_path / "arm.yaml")
+    rng = np.random.default_rng(8)
+    q, load = rng.uniform(-0.8, 0.8, (60, 3)), np.tile([0.0, 10.0], 30)
+    torque = load[:, None] * lifted(at, lambda row: at(row)[0][2], q)
+    points = np.array([at(row)[0] for row in q + [0.0, 6e-5, 9e-5] * torque]) + 1e-5 * rng.standard_normal((60, 3))
+    table = np.column_stack([q, points, load])
+    np.savetxt(tmp_path / "data.csv", table, delimiter=",", header=f"{HEADER},load [kg]", comments="")
+    run = run_calib("fit", tmp_path / "arm.yaml", tmp_path / "data.csv", "--no-pages", "--out", tmp_path / "out")
+    assert run.code == 0, run.err
+    calibrated = calib.load(tmp_path / "out")
+    known = dict(zip((p.name for p in calibrated.parameters), calibrated.values, strict=True))
+    assert known["lift.compliance"] == pytest.approx(6e-5, rel=0.05)
+    assert known["bend.compliance"] == pytest.approx(9e-5, rel=0.05)
+    run = run_calib("predict", tmp_path / "out", tmp_path / "data.csv", "--out", tmp_path / "predicted.csv")
+    assert run.code == 0, run.err
+    predicted = calib.read_measurements(tmp_path / "predicted.csv", robot).readings["ball"].values
+    assert np.abs(predicted - points).max() < 6e-5  # 3 mm of bending, but for noise: the file's loads are heeded

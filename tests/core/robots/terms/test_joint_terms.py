@@ -1,0 +1,321 @@
+"""Joint terms: columns, derivatives through loops, recovery, what a curve explains of a real robot."""
+
+import csv
+
+import numpy as np
+import pytest
+
+import calib
+from calib.core.fitting.terms.candidate_terms import candidates
+from calib.core.robots.jacobian import linearise
+from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
+from calib.core.robots.terms.term import Context
+from calib.core.rows.observed import observe, predict_readings
+from tests.kind_checks import assert_terms_move_positions_as_differences_say
+from tests.project import EXAMPLES, ROOT, SHARED
+from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
+
+UR10 = SHARED / "ur10_tracker"
+FIVE_BAR_JOINT = calib.load(EXAMPLES / "five_bar.yaml").joint_names[0]
+
+
+def with_terms(tmp_path, name, terms):
+    text = (EXAMPLES / name).read_text().replace("urdf: ", f"urdf: {EXAMPLES}/", 1)
+    path = tmp_path / name
+    path.write_text(text + "\njoint_terms:\n" + "\n".join(f"  - {term}" for term in terms) + "\n")
+    return calib.load(path)
+
+
+@pytest.fixture
+def five_bar(tmp_path):
+    terms = [
+        "{joint: all, term: gain}",
+        "{joint: all, term: harmonics, orders: [1, 17]}",
+        "{joint: all, term: backlash}",
+    ]
+    return with_terms(tmp_path, "five_bar.yaml", terms)
+
+
+def near_home(robot, n, seed, reach=0.2):
+    return robot.home + np.random.default_rng(seed).uniform(-reach, reach, (n, len(robot.home)))
+
+
+def test_without_coefficients_joints_are_where_they_are_told(five_bar):
+    q = near_home(five_bar, 5, 0)
+    assert np.array_equal(five_bar.assemble(q).actuated, q)
+
+
+def test_a_gain_is_in_proportion_to_the_command(five_bar):
+    name = five_bar.joint_names[0]
+    robot = five_bar.with_parameters({f"{name}.gain": 2e-3})
+    q = near_home(robot, 4, 1)
+    expected = q.copy()
+    expected[:, 0] *= 1.002
+    assert np.allclose(robot.assemble(q).actuated, expected, rtol=0, atol=1e-15)
+
+
+def test_harmonics_are_sines_and_cosines_of_their_orders(five_bar):
+    name = five_bar.joint_names[1]
+    robot = five_bar.with_parameters({f"{name}.sin17": 3e-4, f"{name}.cos1": -1e-4})
+    q = near_home(robot, 6, 2)
+    error = 3e-4 * np.sin(17 * q[:, 1]) - 1e-4 * np.cos(q[:, 1])
+    assert np.allclose(robot.assemble(q).actuated[:, 1] - q[:, 1], error, rtol=0, atol=1e-15)
+    assert robot.assemble(q[:0]).actuated.shape == (0, 2)
+
+
+def test_of_all_joints_a_period_is_for_the_prismatic_ones_and_a_curve_repeats_after_twice_the_stroke(tmp_path):
+    urdf = ROOT / "urdf"
+    text = (urdf / "medrue.yaml").read_text().replace("urdf: ", f"urdf: {urdf}/", 1)
+    (tmp_path / "medrue.yaml").write_text(
+        f"{text}\njoint_terms:\n"
+        "  - {joint: all, term: harmonics, orders: [1], period: 5 mm}\n"
+        "  - {joint: all, term: curve, orders: 3}\n"
+    )
+    robot = calib.load(tmp_path / "medrue.yaml")
+    rail, leg = robot.joint_names[:2]
+    robot = robot.with_parameters({f"{rail}.sin1": 2e-5, f"{rail}.curve_cos3": 3e-5, f"{leg}.sin1": 1e-4})
+    q = robot.home + np.array([[0.0123, 0.05, 0, 0, 0, 0]])
+    error = robot.assemble(q).actuated[0] - q[0]
+    rail_error = 2e-5 * np.sin(2 * np.pi * q[0, 0] / 5e-3) + 3e-5 * np.cos(2 * np.pi * 3 * q[0, 0] / (2 * 0.7))
+    assert np.allclose(error, [rail_error, 1e-4 * np.sin(q[0, 1]), 0, 0, 0, 0], rtol=0, atol=1e-12)
+
+
+def test_backlash_follows_the_direction_of_approach(five_bar):
+    name = five_bar.joint_names[0]
+    robot = five_bar.with_parameters({f"{name}.backlash": 1e-4})
+    q = near_home(robot, 3, 3)
+    approach = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 0.0]])
+    result = robot.assemble(q, context=Context.from_conditions(approach, {})).actuated
+    assert np.allclose(result[:, 0] - q[:, 0], [1e-4, -1e-4, 0.0], rtol=0, atol=1e-15)
+
+
+def test_a_coupling_follows_the_command_of_the_other_joint(tmp_path):
+    first, second = calib.load(EXAMPLES / "five_bar.yaml").joint_names
+    robot = with_terms(tmp_path, "five_bar.yaml", [f"{{joint: {second}, term: coupling, driven_by: {first}}}"])
+    assert robot.parameters[-1].name == f"{second}.by_{first}"
+    robot = robot.with_parameters({f"{second}.by_{first}": 2e-3})
+    q = near_home(robot, 4, 4)
+    expected = q + np.column_stack([np.zeros(4), 2e-3 * q[:, 0]])
+    assert np.allclose(robot.assemble(q).actuated, expected, rtol=0, atol=1e-15)
+    assert np.allclose(commands_for(robot, expected), q, rtol=0, atol=1e-12)
+
+
+def test_a_temperature_counts_from_the_same_reference_in_every_file(tmp_path):
+    robot = with_terms(tmp_path, "five_bar.yaml", [f"{{joint: {FIVE_BAR_JOINT}, term: temperature}}"])
+    robot = robot.with_parameters({f"{FIVE_BAR_JOINT}.temperature": 1e-4})
+    q, approach = near_home(robot, 3, 5), np.zeros((3, 2))
+    for rows in ([0, 1, 2], [1, 2]):  # a subset has another mean
+        context = Context.from_conditions(approach[rows], {"temperature": np.array([20.0, 23.0, np.nan])[rows]})
+        error = robot.assemble(q[rows], context=context).actuated[:, 0] - q[rows, 0]
+        assert np.allclose(error, np.array([0.0, 3e-4, 0.0])[rows], rtol=0, atol=1e-15)
+
+
+def test_a_condition_that_some_rows_do_not_state_is_no_condition(tmp_path):
+    robot = with_terms(tmp_path, "arm.yaml", ["{joint: joint_2, term: temperature}"])
+    lines = (EXAMPLES / "arm_simulated.csv").read_text().splitlines()
+    header = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    rows = [f"{line},{'' if k == 3 else 20 + k}" for k, line in enumerate(lines[header + 1 :])]
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join([f"{lines[header]},temperature [degC]", *rows]) + "\n")
+    with pytest.raises(calib.DataError, match=r"line 5.*: says no temperature, which 'joint_2.temperature' depends on"):
+        calib.fit(robot, calib.read_measurements(path, robot))
+
+
+def test_derivatives_by_coefficients_agree_with_differences_through_the_loop(five_bar):
+    rng = np.random.default_rng(4)
+    values = five_bar.values.copy()
+    values[five_bar.coefficients] = 1e-3 * rng.standard_normal(values[five_bar.coefficients].shape)
+    robot = five_bar.with_parameters(values)
+    q = near_home(robot, 7, 5)
+    context = Context.from_conditions(np.sign(rng.standard_normal(q.shape)), {})
+    assert_terms_move_positions_as_differences_say(robot, q, context)
+
+
+def test_readings_and_positions_have_the_same_derivatives(five_bar):
+    configurations = five_bar.assemble(near_home(five_bar, 5, 6))
+    observed = observe(five_bar, configurations, predict_readings(five_bar, configurations))
+    by_target = linearise(five_bar, configurations).jacobian[:, 0]
+    assert np.allclose(next(iter(observed.values())).jacobian, by_target, rtol=0, atol=1e-12)
+
+
+def test_commands_undo_the_joint_errors(five_bar):
+    values = five_bar.values.copy()
+    values[five_bar.coefficients] = 2e-3
+    robot = five_bar.with_parameters(values)
+    expected = near_home(robot, 8, 7)
+    commands = commands_for(robot, expected)
+    assert np.allclose(actual_joints(robot, commands, term_columns(robot, commands)), expected, rtol=0, atol=1e-12)
+
+
+def test_terms_are_recovered_from_exact_data_through_the_loop(five_bar):
+    rng = np.random.default_rng(8)
+    values = five_bar.values.copy()
+    values[five_bar.coefficients] = 2e-4 * rng.standard_normal(values[five_bar.coefficients].shape)
+    q = near_home(five_bar, 150, 9, reach=0.4)
+    truth = five_bar.with_parameters(values)
+    plain = calib.as_measurements(five_bar, q, np.zeros((len(q), 3)))
+    # other code than the engine's terms: joint errors written out, then the robot without terms
+    errors = np.zeros_like(q)
+    coefficients = dict(zip([p.name for p in five_bar.parameters], values, strict=True))
+    for j, name in enumerate(five_bar.joint_names):
+        errors[:, j] = coefficients[f"{name}.gain"] * q[:, j]
+        for order in (1, 17):
+            errors[:, j] += coefficients[f"{name}.sin{order}"] * np.sin(order * q[:, j])
+            errors[:, j] += coefficients[f"{name}.cos{order}"] * np.cos(order * q[:, j])
+        errors[:, j] += coefficients[f"{name}.backlash"] * plain.approach_directions[:, j]
+    bare = five_bar.with_parameters(np.where(np.arange(len(values)) >= five_bar.coefficients.start, 0.0, values))
+    measured = bare.positions(q + errors)[:, 0]
+    fit = calib.fit(five_bar, calib.as_measurements(five_bar, q, measured), sigma=1e-7)
+    assert fit.converged
+    assert np.max(np.abs(fit.identification.errors("after"))) < 1e-6
+    for name in five_bar.joint_names:  # what nothing else in the model can do
+        for term in ("sin17", "cos17", "backlash"):
+            result = fit.robot.values[[p.name for p in five_bar.parameters].index(f"{name}.{term}")]
+            assert result == pytest.approx(coefficients[f"{name}.{term}"], abs=2e-6)
+    assert truth.terms == five_bar.terms
+
+
+@pytest.mark.parametrize(
+    ("term", "message"),
+    [
+        ("{joint: nowhere, term: gain}", "no actuated joint 'nowhere'"),
+        ("{joint: all, term: gian}", "unknown term 'gian'; did you mean 'gain'"),
+        ("{joint: all, term: gain, orders: [1]}", "unknown key"),
+        ("{joint: all, term: harmonics, orders: [0]}", "greater than 0"),
+        ("{joint: all, term: gain, sigma: 1 mm}", "unit 'mm' is for a length"),
+        ("{joint: all, term: gain, sigma: 0}", "sigma must be positive"),
+        ("{joint: JOINT, term: harmonics, period: 10 mm}", "`period` is for prismatic joints"),
+        ("{joint: JOINT, term: coupling, driven_by: nowhere}", "driven_by: no actuated joint 'nowhere'"),
+        ("{joint: all, term: coupling, driven_by: JOINT}", "driven_by names the joint itself; use the term `gain`"),
+        ("{joint: JOINT, term: coupling}", "driven_by"),
+        ("{joint: JOINT, term: curve, stroke: 1 m}", "`stroke` is for prismatic joints"),
+    ],
+)
+def test_bad_entries_are_named(tmp_path, term, message):
+    with pytest.raises(calib.DescriptionError, match=message) as caught:
+        with_terms(tmp_path, "five_bar.yaml", [term.replace("JOINT", FIVE_BAR_JOINT)])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.quick(0)
+def test_a_curve_is_found_where_there_is_one_and_stays_flat_where_there_is_none(tmp_path):
+    robot = with_terms(
+        tmp_path, "arm.yaml", ["{joint: joint_2, term: curve, orders: 25}", "{joint: joint_4, term: curve, orders: 25}"]
+    )
+    rng = np.random.default_rng(10)
+    q = rng.uniform(-1.5, 1.5, (160, 6))
+    gear = q.copy()
+    gear[:, 1] += 4e-4 * np.sin(11 * q[:, 1] + 0.3)
+    bare = calib.load(EXAMPLES / "arm.yaml")
+    measured = bare.positions(gear)[:, 0] + 2e-5 * rng.standard_normal((160, 3))
+    fit = calib.fit(
+        robot,
+        calib.as_measurements(robot, q[:120], measured[:120]),
+        validation=calib.as_measurements(robot, q[120:], measured[120:]),
+    )
+    from calib.core.fitting.terms.joint_curves import joint_curves
+
+    curves = {curve.joint: curve for curve in joint_curves(fit)}
+    assert curves["joint_2"].rms == pytest.approx(4e-4 / np.sqrt(2), rel=0.15)
+    assert curves["joint_4"].rms < 3e-5
+    shown = curves["joint_2"]
+    true = 4e-4 * np.sin(11 * shown.command + 0.3)
+    inside = np.abs(shown.error - shown.error.mean() - true + true.mean()) < 4 * shown.std + 2e-5
+    assert np.mean(inside) > 0.95  # a constant is the joint's zero, which the origins have
+    plain = calib.fit(
+        bare,
+        calib.as_measurements(bare, q[:120], measured[:120]),
+        validation=calib.as_measurements(bare, q[120:], measured[120:]),
+    )
+    assert fit.validation.table()["after"]["rms"] < 0.35 * plain.validation.table()["after"]["rms"]
+
+
+@pytest.mark.quick(0)
+@pytest.mark.skipif(not UR10.exists(), reason="the measurements of the UR10 are not here")
+def test_curves_halve_what_origins_leave_of_a_real_robot(tmp_path):
+    lines = (UR10 / "grid.csv").read_text().splitlines()
+    rows = list(csv.reader(row for row in lines if not row.startswith("#")))
+    use = np.array([row[-1] for row in rows[1:]])
+    numbers = np.array([[float(cell) for cell in row[:-1]] for row in rows[1:]])
+    joints = [column.split(" ")[0] for column in rows[0][1:7]]
+    fits = {}
+    for name, term in (("origins", ""), ("curves", "- {joint: all, term: curve}\n")):
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(
+            f"urdf: {UR10 / 'robot.urdf'}\nname_mot: [{', '.join(joints)}]\n"
+            "base: {frame: base_link, pose: unknown}\ntargets:\n  sensor: {frame: flange, position: unknown}\n"
+            "parametrisation:\n- {origin: all, components: [x, y, z], sigma: 1 mm}\n"
+            f"- {{origin: all, components: [rx, ry, rz], sigma: 3 mrad}}\n{term}"
+        )
+        robot = calib.load(path)
+        train, test = (
+            calib.as_measurements(robot, numbers[use == part, 1:7], 1e-3 * numbers[use == part, 7:10])
+            for part in ("train", "test")
+        )
+        fits[name] = calib.fit(robot, train, validation=test)
+    after = {name: fit.validation.table()["after"]["rms"] for name, fit in fits.items()}
+    assert after["origins"] == pytest.approx(0.444, abs=0.005)  # the data's README: 0.44
+    assert after["curves"] < 0.15  # the data's README: 0.174 by another program
+
+
+TURNS = np.linspace(-7.0, 9.0, 60)
+
+
+def endless(folder, *terms):
+    """The six-axis arm with a first joint that turns without end, and these terms."""
+    path = write_six_axis(folder, YAML + FREE + "".join(f"  - {term}\n" for term in terms))
+    urdf = (folder / "arm.urdf").read_text()
+    (folder / "arm.urdf").write_text(urdf.replace('name="j1" type="revolute"', 'name="j1" type="continuous"'))
+    return calib.load(path)
+
+
+def turned(first):
+    q = joints(60)
+    q[:, 0] = first
+    return q
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(
+    ("first", "doubted"),
+    [
+        ((TURNS + np.pi) % (2 * np.pi) - np.pi, True),
+        (np.degrees(TURNS) % 360 // 0.01 * 0.01 * np.pi / 180, True),
+        (TURNS, False),  # turns are counted
+        (TURNS / 8, False),  # nowhere near both ends of a turn
+    ],
+)
+def test_terms_that_count_turns_are_doubted_where_values_may_be_wrapped(first, doubted, tmp_path, run_calib):
+    robot = endless(tmp_path, "{joint: j1, term: gain}", "{joint: j3, term: coupling, driven_by: j1}")
+    q = turned(first)
+    fit = calib.fit(robot, noisy(robot, q, 4e-5, seed=1))
+    words = [reason.text for reason in fit.verdict.reasons if reason.code == "turns_not_counted"]
+    wrong = (
+        "joint j1 lie within one turn, and the URDF states no limits. If these values were wrapped, j1.gain, j3.by_j1"
+    )
+    assert [wrong in text for text in words] == [True] * doubted
+    rows = [",".join(robot.joint_names), *(",".join(repr(float(v)) for v in row) for row in q)]
+    (tmp_path / "poses.csv").write_text("\n".join(rows) + "\n")
+    run = run_calib("check", robot.path, tmp_path / "poses.csv")
+    assert run.code == 0
+    assert ("j1.gain, j3.by_j1 cannot be right. Give values that count turns" in run.err) == doubted
+
+
+def test_auto_asks_no_joint_that_may_be_wrapped_for_what_counts_turns(tmp_path):
+    robot = endless(tmp_path)
+    by_name = {}
+    for first in (TURNS, TURNS % (2 * np.pi)):
+        for joint in candidates(robot, noisy(robot, turned(first), 4e-5, seed=1)):
+            by_name.setdefault(joint.term, []).append(joint)
+    for term in ("gain", "coupling"):
+        counted, wrapped, told = by_name[term]
+        results = [
+            {section.driven_by if term == "coupling" else section.joint for section in item.sections}
+            for item in (counted, wrapped)
+        ]
+        assert results == [{"all"} if term == "gain" else set(robot.joint_names), set(robot.joint_names) - {"j1"}]
+        assert told.refusal.startswith("all values of joint j1 lie within one turn, and the URDF states no limits")
+        assert f"a {term} cannot be right" in told.refusal
+    assert [item.sections for item in by_name["curve"]] == [by_name["curve"][0].sections] * 2  # periodic: no matter
+    only = candidates(robot, noisy(robot, np.column_stack([TURNS % (2 * np.pi), np.zeros((60, 5))]), 4e-5, seed=1))
+    assert "a gain cannot be right" in next(name for name in only if name.term == "gain").refusal

@@ -1,0 +1,141 @@
+"""Ways to closed configurations: far parameters, single poses, limits of another turn, joints without limits."""
+
+import pickle
+import re
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import calib
+from calib.core.robots import acceleration, continuation, kinematics
+from calib.core.robots.closure import residual
+from calib.programs.reaching.goals import Goals
+from calib.programs.reaching.inverse import solve
+from medrue import robot_file
+from medrue.closed_form import forward
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+from tests.project import EXAMPLES
+
+ANGLES = np.array([unit == "rad" for unit in table1().units])
+
+
+@pytest.fixture(scope="module")
+def medrue():
+    return calib.load(robot_file())
+
+
+def edited_five_bar(folder, *changes):
+    """The five-bar of the documentation with some of its URDF replaced."""
+    text = (EXAMPLES / "five_bar.urdf").read_text()
+    for old, new in changes:
+        text, count = re.subn(old, new, text)
+        assert count, old
+    (folder / "five_bar.urdf").write_text(text)
+    (folder / "five_bar.yaml").write_text((EXAMPLES / "five_bar.yaml").read_text())
+    return calib.load(folder / "five_bar.yaml")
+
+
+@pytest.mark.quick(0)
+@pytest.mark.parametrize("times", [1, 3])
+def test_every_pose_that_closes_in_the_closed_form_is_found_with_parameters_far_from_nominal(medrue, times):
+    """+-2 mm and +-1.5 deg, and three times that, where home's loops alone would need corrections above 0.5 rad."""
+    rng, q = np.random.default_rng(times), np.array(target_workspace().q)[::30]
+    for _ in range(25):
+        far = times * np.where(ANGLES, np.radians(1.5), 2e-3) * rng.uniform(-1, 1, 36)
+        oracle = forward(q, table1().nominal + far)
+        assert oracle.closes.all()
+        positions = medrue.with_parameters(table1().nominal + far).positions(q)[:, 0]
+        assert np.max(np.abs(positions - oracle.p_world_tool)) < 1e-10
+
+
+def test_motor_zeros_that_are_20_degrees_off_leave_the_five_bar_whole(tmp_path):
+    """Zeros of the motors are an offset of their joint values: the same elbow angles, from other commands."""
+    robot = edited_five_bar(tmp_path)
+    q = calib.read_poses(EXAMPLES / "five_bar_simulated.csv", robot).joints
+    expected = robot.assemble(q).passive
+    zeros = np.radians([20.0, -20.0])
+    moved = robot.with_parameters({"left_motor.rz": zeros[0], "right_motor.rz": zeros[1]})
+    assert np.max(np.abs(moved.assemble(q - zeros).passive - expected)) < 1e-11
+
+
+@pytest.mark.quick(0)
+def test_a_pose_alone_is_found_where_it_is_found_among_others(medrue):
+    rng = np.random.default_rng(4)
+    limits = np.array([(j.lower, j.upper) for j in medrue.urdf.joints if j.name in medrue.joint_names]).T
+    q = rng.uniform(*limits, (120, 6))
+    together = medrue.close(q)
+    assert 3 < together.ok.sum() < 115
+    alone = np.array([medrue.close(row).ok[0] for row in q[together.ok]])
+    assert alone.all()
+
+
+@pytest.mark.quick(0)
+def test_steps_tried_together_lead_where_steps_tried_one_after_the_other_lead(medrue, monkeypatch):
+    q = np.random.default_rng(6).uniform(-0.4, 0.4, (40, 6)) * medrue.mechanism.joint_scale + medrue.home
+    together = medrue.close(q)
+    assert 3 < together.ok.sum() < 37
+    monkeypatch.setattr(continuation, "_TOGETHER", 1)
+    one_by_one = medrue.close(q)
+    assert np.array_equal(together.ok, one_by_one.ok)
+    assert np.nanmax(np.abs(together.passive - one_by_one.passive)) < 1e-9
+
+
+def test_loops_are_open_alike_one_by_one_and_together(medrue):
+    mechanism = medrue.mechanism
+    q = medrue.home + 0.1 * np.random.default_rng(7).normal(size=(5, 6))
+    swept = kinematics.sweep(mechanism, mechanism.all_joints(q, np.tile(medrue.mode.passive, (5, 1))), mechanism.loops)
+    values, maps = kinematics.gaps(swept), kinematics.gap_maps(swept)
+    assert np.allclose(values, np.hstack([kinematics.value(swept, loop) for loop in mechanism.loops]), atol=1e-14)
+    assert np.allclose(maps, np.hstack([kinematics.twist_map(swept, loop) for loop in mechanism.loops]), atol=1e-14)
+
+
+@pytest.mark.quick(2)
+@pytest.mark.parametrize("part", [1e-3, 1e-2, 0.1, 0.5])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_last_correction_that_is_not_checked_closes_the_loops(medrue, part, compiled):
+    if compiled:
+        pytest.importorskip("numba", reason="numba is not installed (extra 'fast')")
+    q = np.array(target_workspace().q)[::4]
+    moved = medrue.with_parameters(medrue.values + part * (table1().actual - medrue.values))
+    passive = medrue.assemble(q).passive
+    with acceleration.compile_kinematics(compiled):
+        confirmed, _, _, ok = continuation.newton(moved.mechanism, medrue.mode, q, passive)
+        solved, slopes, _, known = continuation.newton(moved.mechanism, medrue.mode, q, passive, slopes=False)
+        from_seed = moved.assemble(q, seed=passive)
+    assert ok.all()
+    assert known.all()
+    assert slopes.size == 0
+    assert np.max(np.abs(residual(moved.mechanism, q, solved)[0])) < 1e-13  # a tenth of the tolerance
+    assert np.allclose(solved, confirmed, rtol=0, atol=1e-12)
+    assert from_seed.slope is None
+    assert np.allclose(moved.singular_values(from_seed), moved.singular_values(moved.assemble(q)), rtol=1e-9)
+
+
+def test_robots_in_use_are_pickled_and_shared_by_threads(medrue):
+    q = np.array(target_workspace().q)[:60]
+    expected = medrue.positions(q)
+    assert np.allclose(pickle.loads(pickle.dumps(medrue)).positions(q), expected, rtol=0, atol=1e-12)
+    with ThreadPoolExecutor(4) as threads:
+        result = list(threads.map(lambda _: medrue.positions(q), range(8)))
+    assert np.allclose(result, [expected] * 8, rtol=0, atol=1e-12)
+
+
+def test_limits_that_lie_a_turn_away_are_the_same_limits(tmp_path):
+    robot = edited_five_bar(tmp_path)
+    q = calib.read_poses(EXAMPLES / "five_bar_simulated.csv", robot).joints
+    expected = robot.assemble(q).passive
+    turn = 2 * np.pi
+    shifted = edited_five_bar(tmp_path, (r'lower="-3" upper="0"', f'lower="{turn - 3!r}" upper="{turn!r}"'))
+    assert np.max(np.abs(shifted.assemble(q).passive - expected - [turn, 0.0])) < 1e-11
+
+
+def test_goals_are_reached_through_passive_joints_without_limits(tmp_path):
+    limited = edited_five_bar(tmp_path)
+    q = calib.read_poses(EXAMPLES / "five_bar_simulated.csv", limited).joints[:12]
+    robot = edited_five_bar(tmp_path, (r'(<joint name="(?:left|right)_elbow" type=)"revolute"', r'\1"continuous"'))
+    positions = limited.positions(q)[:, 0]
+    solution = solve(robot, Goals(positions))
+    assert solution.ok.all()
+    assert np.max(np.abs(robot.positions(solution.q)[:, 0] - positions)) < 1e-9

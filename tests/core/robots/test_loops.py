@@ -1,0 +1,215 @@
+"""Closing loops: against MedRUE's closed form, against geometry done by hand, and the errors."""
+
+import re
+
+import numpy as np
+import pytest
+
+import calib
+from calib.core.robots.closure import residual
+from calib.core.robots.loops import reached_from_home
+from medrue import robot_file
+from medrue.closed_form import PASSIVE_JOINTS, forward
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+from tests.project import EXAMPLES
+from tests.urdf_trees import urdf_of
+
+ANGLES = np.array([unit == "rad" for unit in table1().units])
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return calib.load(robot_file())
+
+
+def passive_of(oracle, robot):
+    """The closed form's passive joints in the robot's order."""
+    return oracle.passive[:, [PASSIVE_JOINTS.index(name) for name in robot.passive_names]]
+
+
+def inside_limits(passive, robot):
+    """The only reason to differ: the mechanism's limits of the passive joints, which the closed form ignores."""
+    with np.errstate(invalid="ignore"):
+        return np.all((passive >= robot.mechanism.lower) & (passive <= robot.mechanism.upper), axis=1)
+
+
+def drawn_parameters(rng):
+    """Within +-2 mm and +-1.5 degrees of nominal."""
+    return table1().nominal + np.where(ANGLES, np.radians(1.5), 2e-3) * rng.uniform(-1, 1, 36)
+
+
+@pytest.mark.amount(6, 60)
+def test_thousands_of_random_poses_and_parameters_agree_with_the_closed_form(robot, amount):
+    rng = np.random.default_rng(7)
+    worst, compared = 0.0, 0
+    for _ in range(amount):
+        values = drawn_parameters(rng)
+        q = target_workspace().q[rng.integers(0, 420, 110)] + rng.uniform(-1, 1, (110, 6)) * np.array(
+            [0.03] + 5 * [0.08]
+        )
+        oracle = forward(q, values)
+        perturbed = robot.with_parameters(values)
+        closed = perturbed.close(q)
+        passive = passive_of(oracle, robot)
+        assert np.array_equal(closed.ok, oracle.closes & inside_limits(passive, robot))
+        assert np.max(np.abs(closed.passive[closed.ok] - passive[closed.ok])) < 1e-9  # the same branch
+        difference = perturbed.positions(q[closed.ok])[:, 0] - oracle.p_world_tool[closed.ok]
+        worst = max(worst, float(np.max(np.abs(difference))))
+        compared += int(closed.ok.sum())
+    assert compared >= 100 * amount
+    assert worst <= 1e-11  # metres: 1e-8 mm
+
+
+@pytest.mark.quick(0)
+def test_poses_over_the_whole_joint_range_never_come_back_on_a_wrong_branch(robot):
+    rng = np.random.default_rng(8)
+    limits = np.array([(j.lower, j.upper) for j in robot.urdf.joints if j.name in robot.joint_names]).T
+    q = rng.uniform(*limits, (200, 6))
+    oracle = forward(q, table1().nominal)
+    closed = robot.close(q)
+    assert 5 < closed.ok.sum() < 195
+    assert np.array_equal(closed.ok, oracle.closes & inside_limits(passive_of(oracle, robot), robot))
+
+
+def test_closures_hold_to_a_picometre(robot):
+    q = target_workspace().q
+    configurations = robot.assemble(q)
+    values, _, _ = residual(robot.mechanism, q, configurations.passive)
+    assert np.max(np.abs(values)) <= 1e-12
+
+
+def test_a_warm_start_gives_the_same_solution_as_a_cold_one(robot):
+    q = target_workspace().q[::7]
+    moved = robot.with_parameters(table1().actual)
+    warm = moved.assemble(q, seed=robot.assemble(q).passive)
+    cold = moved.assemble(q)
+    assert np.max(np.abs(warm.passive - cold.passive)) < 1e-12
+
+
+def test_a_warm_start_from_the_other_branch_is_not_believed(robot):
+    q = target_workspace().q[:20]
+    right = robot.assemble(q).passive
+    mirrored = right.copy()
+    mirrored *= -1  # every elbow bent the other way
+    assert np.max(np.abs(robot.assemble(q, seed=mirrored).passive - right)) < 1e-12
+
+
+DESCRIPTION = """
+urdf: five_bar.urdf
+name_mot: [motor_left, motor_right]
+closed_loop: [[tip_left, tip_right]]
+type: [3d]
+closed_loop_axes: [[x, y]]
+home: {{motor_left: 2.0, motor_right: 1.1415926535897931, elbow_left: {left}, elbow_right: {right}}}
+base: {{frame: ground}}
+targets: {{tip: {{frame: tip_left}}}}
+parametrisation: [{{origin: all, components: [x, y], sigma: 1 mm}}]
+"""
+
+
+def elbows(a, b):
+    return [np.array([x + 0.3 * np.cos(q), 0.3 * np.sin(q)]) for x, q in ((-0.1, a), (0.1, b))]
+
+
+def by_hand(a, b, sign):
+    """The five-bar's tip: intersection of two circles about the elbows, `sign` the side of the line between them."""
+    left, right = elbows(a, b)
+    across = right - left
+    distance = np.linalg.norm(across)
+    height = np.sqrt(0.16 - distance**2 / 4)
+    return (left + right) / 2 + sign * height * np.array([-across[1], across[0]]) / distance
+
+
+def five_bar(folder, sign):
+    """A planar five-bar about z in the x-y plane, links 0.3 and 0.4, anchors 0.2 apart; its home is on side `sign`."""
+    joints = [
+        ("motor_left", "revolute", "ground", "left", "-0.1 0 0"),
+        ("motor_right", "revolute", "ground", "right", "0.1 0 0"),
+        ("elbow_left", "revolute", "left", "left_end", "0.3 0 0"),
+        ("elbow_right", "revolute", "right", "right_end", "0.3 0 0"),
+        ("tip_left_origin", "fixed", "left_end", "tip_left", "0.4 0 0"),
+        ("tip_right_origin", "fixed", "right_end", "tip_right", "0.4 0 0"),
+    ]
+    urdf = urdf_of(*((*names, f'<origin xyz="{xyz}"/><axis xyz="0 0 1"/>') for *names, xyz in joints))
+    (folder / "five_bar.urdf").write_text(urdf)
+    tip, motors = by_hand(2.0, np.pi - 2.0, sign), (2.0, np.pi - 2.0)
+    left, right = (np.arctan2(*(tip - elbow)[::-1]) - q for elbow, q in zip(elbows(*motors), motors, strict=True))
+    (folder / "five_bar.yaml").write_text(DESCRIPTION.format(left=left, right=right))
+    return calib.load(folder / "five_bar.yaml")
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_five_bar_about_another_axis_keeps_the_assembly_mode_of_its_home(tmp_path, sign):
+    robot = five_bar(tmp_path, sign)
+    rng = np.random.default_rng(3)
+    q = np.array([2.0, np.pi - 2.0]) + rng.uniform(-0.8, 0.8, (300, 2))
+    expected = np.array([by_hand(a, b, sign) for a, b in q])
+    assert np.max(np.abs(robot.positions(q)[:, 0, :2] - expected)) < 1e-12
+
+
+def test_the_singular_value_is_that_of_the_angle_between_the_distal_links(tmp_path):
+    robot = five_bar(tmp_path, 1)
+    # the elbows move apart until the distal links are almost in one line, the loop's singular pose
+    for a in (2.0, 2.3, 2.6, 2.85):
+        q = np.array([a, np.pi - a])
+        tip = by_hand(*q, 1)
+        first, second = ((tip - elbow) / 0.4 for elbow in elbows(*q))
+        # columns of C_p / 0.4 are unit vectors across the two links: s^2 = 1 - |cos of the angle between them|
+        expected = np.sqrt(1 - abs(first @ second))
+        assert robot.singular_values(robot.assemble(q))[0] == pytest.approx(expected, rel=1e-9)
+
+
+def example_five_bar(folder, change):
+    """The five-bar of the tutorial with a changed URDF."""
+    (folder / "five_bar.urdf").write_text(change((EXAMPLES / "five_bar.urdf").read_text()))
+    (folder / "five_bar.yaml").write_text((EXAMPLES / "five_bar.yaml").read_text())
+    return calib.load(folder / "five_bar.yaml")
+
+
+@pytest.mark.parametrize("distance", [6e3, 6.4e6])
+def test_a_robot_far_from_the_root_links_origin_closes_and_measures_as_well(tmp_path, distance):
+    """Doubles are 1e-12 m apart at 6 km and 1e-9 m at the radius of the Earth."""
+    site = (
+        '<link name="world"/><joint name="site" type="fixed"><parent link="world"/><child link="table"/>'
+        f'<origin xyz="{distance} -500 3" rpy="0.3 0.2 0.7"/></joint><link name="table">'
+    )
+    near = example_five_bar(tmp_path, lambda text: text)
+    far = example_five_bar(tmp_path, lambda text: text.replace('<link name="table">', site, 1))
+    q = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", near).joints
+    np.testing.assert_allclose(far.assemble(q).passive, near.assemble(q).passive, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(far.positions(q), near.positions(q), rtol=0, atol=1e-12)
+
+
+def test_loops_of_very_long_links_close_to_their_rounding(tmp_path):
+    """Three kilometres of link leave 4e-13 m of rounding in every sum; the angles are those of the small robot."""
+
+    def enlarged(text):
+        return re.sub(
+            r'<origin xyz="(-?[\d.]+) 0 0"/>', lambda result: f'<origin xyz="{1e4 * float(result[1])} 0 0"/>', text
+        )
+
+    small, large = example_five_bar(tmp_path, lambda text: text), example_five_bar(tmp_path, enlarged)
+    assert large.mechanism.length == pytest.approx(3000)
+    q = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", small).joints
+    np.testing.assert_allclose(large.assemble(q).passive, small.assemble(q).passive, rtol=0, atol=1e-11)
+
+
+def test_closed_poses_follow_from_home_unless_one_of_them_is_assembled_in_another_way(tmp_path):
+    """The pen of a five-bar, mirrored at the line between its elbows by plane geometry: the loop is closed as well."""
+    limits = r'lower="[-\d.]+" upper="[-\d.]+"'
+    robot = example_five_bar(tmp_path, lambda text: re.sub(limits, 'lower="-6" upper="6"', text))
+    q = robot.home + 0.3 * np.random.default_rng(1).uniform(-1, 1, (20, 2))
+    known = robot.assemble(q).passive
+    left, right = (robot.passive_names.index(f"{side}_elbow") for side in ("left", "right"))
+    corners = np.stack([0.2 * np.exp(1j * q[:, k]) + x for k, x in ((0, -0.1), (1, 0.1))])
+    pen = corners[0] + 0.3 * np.exp(1j * (q[:, 0] + known[:, left]))
+    along = corners[1] - corners[0]
+    other = corners[0] + along * np.conj((pen - corners[0]) / along)
+    mirrored = known.copy()
+    for joint, elbow in ((left, corners[0]), (right, corners[1])):
+        mirrored[:, joint] += np.angle((other - elbow) / (pen - elbow))
+    assert np.max(np.abs(residual(robot.mechanism, q, mirrored)[0])) < 1e-9
+    one = np.where(np.arange(20)[:, None] == 7, mirrored, known)
+    reached = [reached_from_home(robot.mechanism, robot.mode, q, passive) for passive in (known, one, mirrored)]
+    assert reached == [True, False, False]

@@ -1,0 +1,282 @@
+"""The URDF as text: whatever it looks like, only edited origin numbers change; what cannot be read says why."""
+
+import math
+import random
+import re
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib.core.base.errors import UrdfError
+from calib.core.robots.urdf.text import UrdfText, parse_urdf, read_urdf
+from tests.project import ROOT
+
+URDF = ROOT / "urdf" / "medrue.urdf"
+
+UGLY = """<?xml version="1.0" ?>
+<!-- made by hand: <origin xyz="9 9 9"/> in a comment is not an origin -->
+<robot name="garçon" xmlns:xacro="http://ros.org/wiki/xacro">
+  <xacro:property name="leftover" value="${pi/2}"/>
+  <xacro:macro name="never_called"><joint name="j1" type="fixed"><origin xyz="7 7 7"/></joint></xacro:macro>
+  <gazebo reference="l1"><joint name="j1"><origin xyz="8 8 8"/></joint></gazebo>
+  <joint type='prismatic' name='überschlitten'>
+    <limit upper="+.5" lower="-1e-3" effort="0" velocity="1"/>
+    <axis xyz="0 0 2"/>
+    <origin rpy = '0.1  -2.5E-1\t1e-05' xyz =
+      "1.000  -0 .5"/>   <!-- a > sign, and "quotes" -->
+    <child link="schlitten"/><parent link="l1"/>
+    <dynamics damping="0.1"/>
+  </joint>
+  <link name="schlitten"><visual><origin xyz="3 3 3"/><geometry><mesh filename="package://a/b c.dae" scale="1 1 1"/>
+    </geometry></visual></link>
+  <transmission name="t"><joint name="j1"><hardwareInterface>x</hardwareInterface></joint></transmission>
+  <joint name="follower" type="revolute"><parent link="schlitten"/><child link="l3"/>
+    <mimic offset="0.5" joint="überschlitten" multiplier="-2"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <link name="l3"/>
+  <joint name="loose" type="floating"><origin xyz="0 0 1"/><parent link="l3"/><child link="l4"/></joint>
+  <link name="l4"><inertial><origin xyz="5 5 5" rpy="1 1 1"/><mass value="1"/></inertial></link>
+  <joint name="wheel" type="continuous"><parent link="l4"/><child link="l5"/><origin/>
+    <limit lower="0" upper="0" effort="1" velocity="1"/></joint>
+  <link name="l5"/><link name="l1"/>
+</robot>
+<!-- the end -->
+"""
+VARIANTS = {
+    "as written": UGLY.encode(),
+    "CRLF": UGLY.replace("\n", "\r\n").encode(),
+    "BOM": b"\xef\xbb\xbf" + UGLY.encode(),
+    "BOM and CRLF": b"\xef\xbb\xbf" + UGLY.replace("\n", "\r\n").encode(),
+    "Latin-1": UGLY.replace('version="1.0"', 'version="1.0" encoding="iso-8859-1"').encode("latin-1"),
+    "no line ends": UGLY.replace("\n", " ").encode(),
+    "no final line end": UGLY.rstrip().encode(),
+}
+
+
+@pytest.fixture(params=VARIANTS, ids=lambda name: name.replace(" ", "_"))
+def ugly(request: pytest.FixtureRequest) -> UrdfText:
+    return parse_urdf(VARIANTS[request.param], "ugly.urdf")
+
+
+def as_asked(urdf: UrdfText) -> dict:
+    return {joint.name: (joint.xyz, joint.rpy) for joint in urdf.joints}
+
+
+def test_reads_everything_that_people_write(ugly: UrdfText) -> None:
+    assert ugly.name == "garçon"
+    assert ugly.root == "l1"
+    assert ugly.links == ("schlitten", "l3", "l4", "l5", "l1")
+    slide, follower, loose, wheel = ugly.joints
+    assert (slide.name, slide.type, slide.parent, slide.child) == ("überschlitten", "prismatic", "l1", "schlitten")
+    assert (slide.xyz, slide.rpy, slide.axis) == ((1.0, 0.0, 0.5), (0.1, -0.25, 1e-5), (0.0, 0.0, 1.0))
+    assert (slide.lower, slide.upper) == (-1e-3, 0.5)
+    assert follower.mimic == ("überschlitten", -2.0, 0.5)
+    assert (follower.xyz, follower.rpy, follower.axis) == ((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0))
+    assert (loose.type, loose.xyz) == ("floating", (0.0, 0.0, 1.0))
+    assert (wheel.lower, wheel.upper) == (-math.inf, math.inf)
+
+
+def test_nothing_changes_where_nothing_is_edited(ugly: UrdfText) -> None:
+    assert ugly.with_origins(as_asked(ugly)) == ugly.source
+    assert ugly.with_origins({}) == ugly.source
+
+
+@pytest.mark.parametrize("joint", ["überschlitten", "follower", "loose", "wheel"])
+def test_an_edit_reads_back_and_touches_nothing_but_its_origin(ugly: UrdfText, joint: str) -> None:
+    new = ((0.1, -2.0, 1 / 3), (1e-9, 0.25, -3.0))
+    edited = ugly.with_origins({joint: new})
+    expected = as_asked(ugly) | {joint: new}
+    assert as_asked(parse_urdf(edited)) == expected
+    span = next(j for j in ugly.joints if j.name == joint).origin_span
+    if span is not None:
+        assert edited[: span[0]] == ugly.source[: span[0]]
+        assert edited.endswith(ugly.source[span[1] :])
+    else:  # one tag was added, nothing else
+        added = re.search(rb'\s*<origin xyz="0.1 -2.0 0.333[^>]*>', edited)
+        assert added is not None
+        assert edited.replace(added.group(), b"", 1) == ugly.source
+
+
+def test_numbers_of_an_edited_origin_that_stay_keep_their_spelling() -> None:
+    urdf = parse_urdf(VARIANTS["as written"])
+    edited = urdf.with_origins({"überschlitten": ((1.0, -0.125, 0.5), (0.1, -0.25, 1e-5))})
+    assert edited == urdf.source.replace(b'"1.000  -0 .5"', b'"1.000  -0.125 .5"')
+
+
+def test_a_missing_origin_is_added_on_its_own_line_with_the_line_ends_of_the_file() -> None:
+    source = (
+        b'<robot name="r">\r\n  <link name="a"/>\r\n  <link name="b"/>\r\n  <joint name="j" type="fixed">\r\n'
+        b'    <parent link="a"/>\r\n    <child link="b"/>\r\n  </joint>\r\n</robot>\r\n'
+    )
+    edited = parse_urdf(source).with_origins({"j": ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))})
+    assert edited == source.replace(b'"fixed">', b'"fixed">\r\n    <origin xyz="0 0 1.0"/>')
+
+
+def test_written_numbers_read_back_to_the_same_float() -> None:
+    urdf = read_urdf(URDF)
+    generator = np.random.default_rng(3)
+    for _ in range(20):
+        origins = {
+            joint.name: (
+                tuple(generator.normal(0, 10.0 ** generator.integers(-12, 6), 3).tolist()),
+                tuple(generator.uniform(-4, 4, 3).tolist()),
+            )
+            for joint in urdf.joints
+        }
+        assert as_asked(parse_urdf(urdf.with_origins(origins))) == origins
+
+
+def test_edit_and_edit_back_restores_the_meaning_of_every_origin() -> None:
+    urdf = read_urdf(URDF)
+    there = urdf.with_origins({"q2": ((1.0, 2.0, 3.0), (0.1, 0.2, 0.3)), "slide": ((0.0,) * 3, (0.0, 0.0, 1e-300))})
+    back = parse_urdf(there).with_origins(as_asked(urdf))
+    assert as_asked(parse_urdf(back)) == as_asked(urdf)
+
+
+def test_pinocchio_sees_the_edited_origin() -> None:
+    xyz, rpy = (0.5, -0.25, 0.125), (0.3, -1.2, 2.5)
+    model = pin.buildModelFromXML(read_urdf(URDF).with_origins({"q4": (xyz, rpy)}).decode())
+    placement = model.jointPlacements[model.getJointId("q4")]
+    assert np.array_equal(placement.translation, xyz)
+    assert np.abs(placement.rotation - pin.rpy.rpyToMatrix(*rpy)).max() < 1e-15  # rounding of one product of rotations
+
+
+def test_random_files_keep_every_byte_outside_the_edited_origins() -> None:
+    """Shuffled elements, attributes and blanks around joints whose origins are known."""
+    dice = random.Random(7)
+    for _ in range(60):
+        source, origins = random_urdf(dice)
+        urdf = parse_urdf(source)
+        assert as_asked(urdf) == origins
+        names = dice.sample(sorted(origins), k=dice.randint(1, len(origins)))
+        new = {name: (tuple(dice.gauss(0, 1) for _ in "xyz"), origins[name][1]) for name in names}
+        edited = urdf.with_origins(new)
+        assert as_asked(parse_urdf(edited)) == origins | new
+        marker = re.compile(rb"(<origin\b[^>]*>)")
+        assert marker.sub(b"", edited) == marker.sub(b"", source)
+
+
+def random_urdf(dice: random.Random) -> tuple[bytes, dict]:
+    def blank() -> str:
+        return dice.choice(["", " ", "\n", "\r\n", "\t", "<!-- <joint name='no'/> -->", "\n\n  "])
+
+    links = [f"link {i} é" for i in range(dice.randint(2, 6))]
+    parts = [f"<link name='{link}'/>" for link in links]
+    origins = {}
+    for i, link in enumerate(links[1:]):
+        numbers = [dice.choice([0.0, 1.5, -2e-7, 3e8]) for _ in range(6)]
+        spelled = [dice.choice([repr(n), f"{n:+.3e}", f"{n:.17g}"]) for n in numbers]
+        origins[f"joint-{i}"] = (tuple(map(float, spelled[:3])), tuple(map(float, spelled[3:])))
+        gap = dice.choice([" ", "  ", "\t", "\n"])
+        keys = [f'xyz="{gap.join(spelled[:3])}"', f"rpy = '{gap.join(spelled[3:])}'"]
+        dice.shuffle(keys)
+        inner = [
+            f"<origin {dice.choice(' ') + ' '.join(keys)}{dice.choice(['/>', '></origin>', ' />'])}",
+            f'<parent link="{dice.choice(links[: i + 1])}"/>',
+            f'<child link="{link}"/>',
+        ]
+        dice.shuffle(inner)
+        kind = dice.choice(["fixed", "continuous", "floating"])
+        parts.append(f'<joint type="{kind}" name="joint-{i}">{blank().join(inner)}{blank()}</joint>')
+    dice.shuffle(parts)
+    return f"<robot name='r'>{blank().join(parts)}{blank()}</robot>".encode(), origins
+
+
+TWO = '<robot name="r"><link name="a"/><link name="b"/>{}</robot>'
+JOINT = '<joint name="j" type="{}"><parent link="a"/><child link="b"/>{}</joint>'
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("", "not valid XML (no element found)"),
+        ("<robot", "not valid XML"),
+        ("\n<?xml version='1.0'?><robot/>", "must be the very first"),
+        ("<robot></robot>", "no links"),
+        ("<sdf version='1.6'/>", "the top element is <sdf>, not that of a robot"),
+        (TWO.format(""), "several root links: a, b"),
+        (TWO.format(JOINT.format("revolut", "")), "unknown type 'revolut'; did you mean 'revolute'?"),
+        (TWO.format(JOINT.format("fixed", '<origin xyz="0 0"/>')), "joint 'j', xyz: '0 0' is not three numbers"),
+        (TWO.format(JOINT.format("fixed", '<origin xyz="0, 0, 1"/>')), "'0,' is not a number"),
+        (TWO.format(JOINT.format("fixed", '<origin xyz="0 0 nan"/>')), "'nan' is not a number"),
+        (TWO.format(JOINT.format("fixed", '<origin xyz="0 0 1e999"/>')), "is not finite"),
+        (TWO.format(JOINT.format("fixed", '<origin xyz="0 0 1_0"/>')), "'1_0' is not a number"),
+        (TWO.format(JOINT.format("fixed", '<origin xyz="0\u00a00 1"/>')), "is not a number"),
+        (TWO.format(JOINT.format("fixed", '<origin rpy="0 0 ${pi}"/>')), "xacro expression; run xacro"),
+        (TWO.format(JOINT.format("fixed", '<origin xyz="0 0 1"/><origin/>')), "joint 'j' has two <origin>"),
+        (TWO.format(JOINT.format("revolute", '<axis xyz="0 0 0"/>')), "axis has no direction"),
+        (TWO.format(JOINT.format("fixed", '<mimic joint="k"/>')), "mimics no joint 'k'"),
+        (TWO.format('<joint name="j" type="fixed"><child link="b"/></joint>'), "joint 'j': has no <parent>"),
+        (TWO.format('<joint type="fixed"/>'), "<joint> has no 'name'"),
+        (TWO.format('<joint name="" type="fixed"/>'), "<joint> has no 'name'"),
+        (TWO.format(JOINT.format("fixed", "") + JOINT.format("fixed", "")), "joint 'j' is defined twice"),
+        (TWO.format('<link name="a"/>'), "link 'a' is defined twice"),
+        (TWO.format(JOINT.format("fixed", "").replace('"b"', '"bb"')), "no link 'bb'"),
+        (
+            TWO.format(JOINT.format("fixed", "") + JOINT.format("fixed", "").replace('"j"', '"k"')),
+            "child of joints 'j'",
+        ),
+        (
+            TWO.format(
+                JOINT.format("fixed", "") + '<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint>'
+            ),
+            "ring",
+        ),
+    ],
+)
+def test_what_cannot_be_read_says_what_and_where(source: str, words: str) -> None:
+    with pytest.raises(UrdfError, match=re.escape(words)) as caught:
+        parse_urdf(source.encode(), "some.urdf")
+    assert str(caught.value).startswith("some.urdf")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_ring_beside_the_tree_is_an_error() -> None:
+    ring = "".join(
+        f'<link name="{x}"/><joint name="{x}" type="fixed"><parent link="{y}"/><child link="{x}"/></joint>'
+        for x, y in ("cd", "de", "ec")
+    )
+    with pytest.raises(UrdfError, match="its own ancestor"):
+        parse_urdf(f'<robot name="r"><link name="a"/>{ring}</robot>'.encode())
+
+
+def test_files_that_are_not_there_or_not_text_say_so(tmp_path: Path) -> None:
+    with pytest.raises(UrdfError, match="no such file"):
+        read_urdf(tmp_path / "none.urdf")
+    with pytest.raises(UrdfError, match="cannot be read"):
+        read_urdf(tmp_path)
+    for content in ("<robot/>".encode("utf-16"), b"\x7fELF\x00\x00"):
+        with pytest.raises(UrdfError, match="UTF-16 or binary"):
+            parse_urdf(content)
+    with pytest.raises(UrdfError, match="encoding"):
+        parse_urdf(b'<?xml version="1.0" encoding="gbk"?><robot/>')
+
+
+def test_two_equal_tags_other_than_origin_are_no_matter() -> None:
+    urdf = parse_urdf(TWO.format(JOINT.format("revolute", '<axis xyz="0 1 0"/><axis xyz="0 1 0"/>')).encode())
+    assert urdf.joints[0].axis == (0.0, 1.0, 0.0)
+
+
+def test_origins_in_xml_entities_read_and_are_refused_for_writing() -> None:
+    joint = JOINT.format("fixed", "<origin xyz='0 0 1'/>").replace('"', "'")
+    source = f'<!DOCTYPE robot [<!ENTITY j "{joint}">]>' + TWO.format("&j;")
+    urdf = parse_urdf(source.encode())
+    assert urdf.joints[0].xyz == (0.0, 0.0, 1.0)
+    with pytest.raises(UrdfError, match="comes from an XML entity"):
+        urdf.with_origins({"j": ((0.0, 0.0, 2.0), (0.0, 0.0, 0.0))})
+
+
+def test_numbers_spelled_with_character_references_are_replaced_whole() -> None:
+    urdf = parse_urdf(TWO.format(JOINT.format("fixed", '<origin xyz="1&#32;2&#x20;3"/>')).encode())
+    edited = urdf.with_origins({"j": ((1.0, 2.0, 4.0), (0.0, 0.0, 0.0))})
+    assert b'xyz="1.0 2.0 4.0"' in edited
+
+
+def test_wrong_edits_are_refused() -> None:
+    urdf = read_urdf(URDF)
+    with pytest.raises(UrdfError, match=r"no joint 'q22'; did you mean 'q2'\?"):
+        urdf.with_origins({"q22": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))})
+    with pytest.raises(UrdfError, match=r"joint 'q2': the new origin .* is not finite"):
+        urdf.with_origins({"q2": ((0.0, 0.0, math.nan), (0.0, 0.0, 0.0))})

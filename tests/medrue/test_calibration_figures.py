@@ -1,0 +1,107 @@
+"""What calibration is for: MedRUE from simulated measurements, and a real arm from a laser tracker's."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.core.rows.registration import register
+from medrue import robot_file
+from medrue.closed_form import forward
+from medrue.paper_tables import PARAMETERS, table1
+from medrue.workspace import target_workspace
+from tests.project import EXAMPLES
+
+NAMES = list(PARAMETERS)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return calib.load(robot_file())
+
+
+def test_without_noise_every_kept_parameter_of_table_1_comes_back_to_a_nanometre(robot):
+    q = np.array(target_workspace().q)
+    fit = calib.fit(robot, calib.as_measurements(robot, q, forward(q, table1().actual).p_world_tool))
+    kept = np.array([name not in table1().redundant for name in NAMES])
+    # the redundant ones are nominal in Table I's actual column too, so that the others have unique true values
+    assert np.array_equal(table1().actual[~kept], table1().nominal[~kept])
+    error = np.abs(fit.robot.values - table1().actual)
+    angles = np.array([unit == "rad" for unit in table1().units])
+    assert np.max(1e3 * error[~angles]) < 1e-6  # mm
+    assert np.max(np.degrees(error[angles])) < 1e-6
+    assert kept.sum() == 28 == fit.rank.rank
+    assert (fit.rank_all.rank, fit.rank_all.n_columns) == (28, 36)
+
+
+def test_84_noisy_poses_predict_the_other_336_to_better_than_30_micrometres(robot):
+    q = np.array(target_workspace().q)
+    truth = forward(q, table1().actual).p_world_tool
+    rng = np.random.default_rng(2015)
+    order = rng.permutation(420)
+    used, others = np.sort(order[:84]), np.sort(order[84:])
+    data = calib.as_measurements(robot, q[used], truth[used] + 40e-6 * rng.standard_normal((84, 3)))
+    fit = calib.fit(robot, data)
+    before = np.linalg.norm(robot.positions(q[others])[:, 0] - truth[others], axis=1)
+    after = np.linalg.norm(fit.robot.positions(q[others])[:, 0] - truth[others], axis=1)
+    assert 1e3 * before.mean() > 5
+    assert 1e3 * after.mean() < 0.03
+
+
+def test_the_calibrated_urdf_reloads_to_the_same_kinematics(robot, tmp_path):
+    calibrated = robot.with_parameters(table1().actual)
+    text = robot_file().read_text()
+    (tmp_path / "medrue.urdf").write_bytes(calibrated.calibrated_urdf())
+    (tmp_path / "medrue.yaml").write_text(text)
+    again = calib.load(tmp_path / "medrue.yaml")
+    q = np.array(target_workspace().q)
+    assert np.max(np.abs(again.positions(q) - calibrated.positions(q))) < 1e-12
+    assert np.max(np.abs(again.values - calibrated.values)) < 1e-12  # the parameters are read off the URDF
+
+
+@pytest.fixture(scope="module")
+def motoman(shared_data, tmp_path_factory):
+    """The real arm, in one folder with its shipped description."""
+
+    folder = tmp_path_factory.mktemp("motoman")
+    for name in ("robot.urdf", "train.csv", "test.csv"):
+        file = shared_data / "motoman_right" / name
+        (folder / file.name).write_bytes(file.read_bytes())
+    description = EXAMPLES / "motoman_right.yaml"
+    (folder / description.name).write_bytes(description.read_bytes())
+    return folder
+
+
+def test_a_real_arm_measured_with_a_laser_tracker(motoman):
+    robot = calib.load(motoman / "motoman_right.yaml")
+    fit = calib.fit(
+        robot,
+        calib.read_measurements(motoman / "train.csv", robot),
+        validation=calib.read_measurements(motoman / "test.csv", robot),
+    )
+    before, after = (fit.validation.table()[state]["rms"] for state in ("before", "after"))
+    assert len(fit.identification.data) == 159
+    assert len(fit.validation.data) == 53
+    # a general solver of the same sum of squares, with the noise 0.187 mm per axis that it leaves
+    assert before == pytest.approx(0.339, abs=0.001)
+    assert after <= 0.075
+
+
+def test_a_real_arm_placed_without_expecting_the_reflector_anywhere_is_as_others_found(motoman):
+    text = (motoman / "motoman_right.yaml").read_text().replace(", sigma: 10 mm}", "}")
+    (motoman / "free.yaml").write_text(text)
+    robot = calib.load(motoman / "free.yaml")
+    placed = register(robot, calib.read_measurements(motoman / "train.csv", robot))
+    test = calib.read_measurements(motoman / "test.csv", robot)
+    errors = placed.positions(test.joints) - test.points(robot)
+    assert 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=(1, 2)))) == pytest.approx(0.253, abs=0.001)
+
+
+def test_a_real_arm_also_works_from_its_plain_urdf(motoman):
+    robot = calib.load(motoman / "robot.urdf")
+    columns = {"x1": "flange_x", "y1": "flange_y", "z1": "flange_z"}
+    text = (motoman / "train.csv").read_text()
+    header, rest = text.split("\n", 1)
+    (motoman / "plain.csv").write_text(",".join(columns.get(name, name) for name in header.split(",")) + "\n" + rest)
+    fit = calib.fit(robot, calib.read_measurements(motoman / "plain.csv", robot))
+    after = fit.identification.table()["after"]["rms"]
+    assert after <= 0.075

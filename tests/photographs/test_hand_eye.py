@@ -1,0 +1,393 @@
+import ast
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from calib.core.base.errors import DataError, NotIdentifiableError
+from calib.photographs import starts
+from calib.photographs.camera_alone import intrinsics_at_first, point_errors
+from calib.photographs.estimation import estimate, predict_left_out_images, rms, solve
+from calib.photographs.hand_eye_calibration import calibrate
+from calib.photographs.hand_eye_result import Frames, content, files, judge, report
+from calib.photographs.other_readings import other_readings
+from calib.photographs.scene import HandEyePlacement, plane_errors_on_board, residuals, rows
+from calib.photographs.shared_errors import ErrorSizes
+from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, board_points, pixels_of, pose, scene
+
+pytest.importorskip("cv2", reason="extra 'camera'")
+
+
+def codes(result):
+    return [mistake.code for mistake in result.mistakes]
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return scene(12, "tool", seed=3, noise=0.3, shift=2e-4, turn=2e-4)
+
+
+@pytest.fixture(scope="module")
+def good(clean):
+    return calibrate(clean, INTRINSICS, mounts=("tool",))
+
+
+def test_good_photographs_show_no_mistake(good):
+    assert (codes(good), judge(good).grade, good.lens_found) == ([], "PASS", False)
+
+
+@pytest.mark.parametrize("mount", ["tool", "base"])
+def test_camera_board_and_mount_are_found_without_any_guess(mount):
+    exact = scene(8, mount, noise=0.0)
+    begin = starts.start(exact, INTRINSICS)
+    assert begin.scene.mount == mount
+    solution = solve(begin.scene, begin.placed, (), ErrorSizes())
+    assert np.allclose(solution.camera, CAMERA[mount], atol=1e-9)
+    assert np.allclose(solution.board, BOARD[mount], atol=1e-9)
+
+
+def test_derivatives_agree_with_central_differences():
+    for mount in ("tool", "base"):
+        view = scene(3, mount, noise=0.5, shift=1e-3)
+        placed = HandEyePlacement(CAMERA[mount], BOARD[mount], INTRINSICS, 1.01)
+        free, h = (0, 1, 2, 3, 4, 5), 1e-6
+        _, by_unknown, by_error = rows(view, placed, free, scaled=True)
+        for k in range(19):
+            step = np.zeros(19)
+            step[k] = h
+            ahead, back = (residuals(view, placed.step(sign * step, free)) for sign in (1, -1))
+            assert np.allclose(by_unknown[:, :, k], (ahead - back) / (2 * h), atol=2e-3, rtol=1e-5)
+        for k in range(6):
+            twist = np.zeros(6)
+            twist[k] = h
+            turned = [view.tool @ pose(sign * twist[:3], np.rad2deg(sign * twist[3:])) for sign in (1, -1)]
+            ahead, back = (residuals(replace(view, tool=tool), placed) for tool in turned)
+            assert np.allclose(by_error[:, :, k], (ahead - back) / (2 * h), atol=2e-3, rtol=1e-5)
+
+
+def test_plain_least_squares_is_that_of_scipy():
+    view = scene(7, "tool", noise=0.5, shift=5e-4, turn=5e-4)
+    begin = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)
+    ours = estimate(view, begin, ())
+
+    def errors(x):
+        camera, board = (pose(x[k : k + 3], np.rad2deg(x[k + 3 : k + 6])) for k in (0, 6))
+        at = np.linalg.inv(CAMERA["tool"] @ camera) @ np.linalg.inv(view.tool) @ BOARD["tool"] @ board
+        points = np.einsum("kab,kb->ka", at[view.image, :3, :3], view.body) + at[view.image, :3, 3]
+        return (pixels_of(points) - view.pixels).ravel()
+
+    other = least_squares(errors, np.zeros(12), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    assert rms(residuals(view, ours.placed)) == pytest.approx(np.sqrt(2 * other.cost / len(view.pixels)), rel=1e-9)
+
+
+def test_an_image_left_out_is_predicted_by_a_fit_of_the_others():
+    view = scene(6, "tool", noise=0.4, shift=5e-4)
+    whole = estimate(view, HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS), ())
+    others = np.arange(6) != 2
+    alone = estimate(view.select_images(others), whole.placed, ())
+    left = predict_left_out_images(view, whole.placed, (), whole.weights)
+    assert np.allclose(left.pixels[view.image == 2], residuals(view, alone.placed)[view.image == 2], atol=1e-5)
+
+
+def test_millimetres_on_the_board_are_where_rays_meet_its_plane():
+    view = scene(2, "tool", noise=0.0)
+    placed = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)
+    assert np.max(np.abs(plane_errors_on_board(view, placed))) < 1e-9
+    moved = replace(view, body=view.body + np.array([1e-3, -2e-3, 0.0]))
+    assert np.allclose(plane_errors_on_board(moved, placed), [-1e-3, 2e-3], atol=1e-9)
+
+
+def test_the_lens_is_found_where_none_is_given():
+    result = calibrate(scene(8, "base", noise=0.2), None, mounts=("base",))
+    assert result.lens_found
+    assert np.allclose(result.fitted.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
+    assert rms(result.pixels) < 0.3
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_focal_length_is_found_from_tilted_boards_and_refused_from_those_seen_from_the_front(noise):
+    tilted = scene(8, "tool", noise=noise)
+    assert intrinsics_at_first(tilted)[0] == pytest.approx(INTRINSICS[0], rel=0.06)  # the lens has distortion
+    flat = [pose((0.0, 0.01 * k, 0.5 + 0.02 * k), (0, 0, 20 * k)) for k in range(8)]
+    pixels = np.concatenate([pixels_of(board_points() @ at[:3, :3].T + at[:3, 3]) for at in flat])
+    pixels += noise * np.random.default_rng(0).standard_normal(pixels.shape)
+    with pytest.raises(NotIdentifiableError, match="do not determine the focal length"):
+        intrinsics_at_first(replace(tilted, pixels=pixels))
+
+
+@pytest.mark.quick(0)
+def test_the_robots_part_is_told_from_the_cameras():
+    view = scene(12, "tool", noise=0.2, shift=4e-4, turn=3e-4)
+    result = calibrate(view, INTRINSICS, mounts=("tool",), lens="given")
+    noise = result.fitted.noise
+    assert noise.pixel == pytest.approx(0.2, rel=0.1)
+    assert noise.shift == pytest.approx(4e-4, rel=0.4)  # 60 squares: 12 images of 6, less 12 unknowns
+    assert rms(result.residuals_without_robot) < 0.35 < rms(result.pixels)
+    assert "comes from the robot's poses" in report(result, Frames())
+    exact = calibrate(scene(8, "tool", noise=0.2), INTRINSICS, mounts=("tool",), lens="given")
+    assert exact.fitted.noise.shift < 5e-5
+
+
+def test_what_new_images_stay_below_holds_for_errors_that_an_image_shares(good):
+    generator, size = np.random.default_rng(5), 7e-4
+    n, m = len(good.scene), len(good.scene.pixels)
+    held, widths = [], []
+    for _ in range(400):
+        used, new = size * generator.standard_normal((2, n, 2))
+        left = replace(good.left_out, pixels=np.full((m, 2), 50.0), board=used[good.scene.image])
+        limit = replace(good, left_out=left).limit
+        held.append(np.sqrt(np.mean(np.sum(new**2, axis=1))) < limit)
+        widths.append(limit / np.sqrt(np.mean(np.sum(used**2, axis=1))))
+    assert np.mean(held) > 0.97  # more than 0.95: these errors, unlike those of a fit, are independent
+    assert np.median(widths) == pytest.approx(
+        np.sqrt(2.69), rel=0.03
+    )  # F for 12 and 12, from tables, an image being one
+
+
+def test_order_names_and_the_boards_origin_do_not_matter():
+    view = scene(5, "tool", noise=0.3, shift=3e-4)
+    result = calibrate(view, INTRINSICS, mounts=("tool",), lens="given")
+    order = np.random.default_rng(1).permutation(len(view.image))
+    order = order[np.argsort(view.image[order], kind="stable")]
+    body = view.body[order] - [0.09, 0.12, 0.0]
+    other = replace(view, names=tuple("abcde"), body=body, pixels=view.pixels[order])
+    moved = calibrate(other, INTRINSICS, mounts=("tool",), lens="given")
+    back = moved.fitted.placed.board @ pose((-0.09, -0.12, 0.0), (0, 0, 0))
+    assert np.allclose(moved.fitted.placed.camera, result.fitted.placed.camera, atol=1e-9)
+    assert np.allclose(back, result.fitted.placed.board, atol=1e-9)
+
+
+@pytest.mark.amount(1, 4)
+def test_each_mistake_is_named_and_none_passes(amount):
+    view = scene(8, "tool", noise=0.2, shift=2e-4, turn=2e-4)
+    swapped = INTRINSICS[[0, 1, 3, 2, 4, 5, 6, 7, 8]] + [0, 0, -40, 120, 0, 0, 0, 0, 0]
+    late = np.arange(len(view)) >= 5
+    moved = replace(view, tool=np.where(late[:, None, None], pose((4e-3, 0, 0), (0, 0, 0)) @ view.tool, view.tool))
+    cases = {
+        "moved": (moved, INTRINSICS),
+        "pairs_shifted": (replace(view, tool=np.roll(view.tool, 1, axis=0)), INTRINSICS),
+        "principal_point": (view, swapped),
+        "square_size": (replace(view, body=view.body / 1.02), INTRINSICS),
+    }
+    for code, (case, intrinsics) in list(cases.items())[:amount]:
+        result = calibrate(case, intrinsics, mounts=("tool",))
+        assert code in codes(result), code
+        assert judge(result).grade != "PASS"
+
+
+@pytest.mark.quick(0)
+@pytest.mark.amount(1, 2)
+def test_exchanged_intrinsics_are_named_and_do_not_spoil_the_lens_found(amount):
+    view = scene(6, "base", noise=0.2)
+    for order, words in (((2, 1, 0, 3), "fx and cx"), ((0, 1, 3, 2), "cx and cy"))[:amount]:
+        swapped = INTRINSICS[[*order, 4, 5, 6, 7, 8]]
+        result = calibrate(view, swapped, mounts=("base",))
+        assert codes(result) == ["lens_given"]
+        assert f"({words} are exchanged)" in judge(result).reasons[0]
+        assert judge(result).grade == "CHECK"
+        assert np.allclose(result.fitted.placed.intrinsics[:4], INTRINSICS[:4], atol=2.0)
+        kept = calibrate(view, swapped, lens="given", mounts=("base",))
+        assert codes(kept)[0] == "lens_given"
+        assert judge(kept).grade == "FAIL"
+
+
+@pytest.mark.amount(0, 1)
+def test_a_size_far_off_is_named():
+    exact = scene(6, "tool", noise=0.2, shift=2e-4, turn=2e-4)
+    result = calibrate(replace(exact, body=1.2 * exact.body), INTRINSICS, mounts=("tool",))
+    assert codes(result)[:1] == ["square_size"]
+    assert "17 % smaller" in judge(result).reasons[0]
+    assert judge(result).grade == "FAIL"
+
+
+def misread(exact):
+    """An exact scene as it is read where files mean something else, by words of what is wrong."""
+    rotation = Rotation.from_matrix(exact.tool[:, :3, :3])
+    quaternions = rotation.as_quat()
+    ways = {
+        "real part first": Rotation.from_quat(np.roll(quaternions, 1, axis=1)),
+        "real part last": Rotation.from_quat(np.roll(quaternions, -1, axis=1)),
+        "rotations are inverted": rotation.inv(),
+        "the new y and the new z": Rotation.from_euler("xyz", rotation.as_euler("XYZ")),
+        "first angle is about z": Rotation.from_euler("xyz", rotation.as_euler("xyz")[:, ::-1]),
+    }
+    for words, read in ways.items():
+        tool = exact.tool.copy()
+        tool[:, :3, :3] = read.as_matrix()
+        yield words, replace(exact, tool=tool)
+    yield "10 times as large", replace(exact, body=0.1 * exact.body)
+    yield "mirrored", replace(exact, pixels=exact.pixels * [-1, 1] + [exact.size[0] - 1, 0])
+
+
+def same(scene, other):
+    return all(np.allclose(getattr(scene, part), getattr(other, part)) for part in ("tool", "body", "pixels"))
+
+
+def test_of_other_readings_just_the_one_that_is_named_gives_the_scene_back():
+    """What is tried and found to explain the images: it is the real scene, whatever finds it."""
+    exact = scene(9, "tool", noise=0.0)
+    for words, wrong in misread(exact):
+        fits = [
+            reading.text
+            for reading in other_readings(wrong, ("tool",))
+            if len(reading.scene) == len(exact)
+            and all(
+                np.allclose(getattr(reading.scene, part), getattr(exact, part)) for part in ("tool", "body", "pixels")
+            )
+        ]
+        assert len(fits) == 1, words
+        assert words in fits[0]
+
+
+@pytest.mark.amount(0, 6)
+def test_another_reading_is_named_with_what_it_leaves(amount):
+    for words, wrong in list(misread(scene(7, "tool", noise=0.2, shift=2e-4, turn=2e-4)))[:amount]:
+        judgement = judge(calibrate(wrong, INTRINSICS, mounts=("tool",)))
+        assert judgement.grade == "FAIL"
+        assert words in judgement.reasons[0]
+
+
+@pytest.mark.quick(0)
+@pytest.mark.amount(1, 2)
+def test_inverted_poses_are_named_where_the_mount_is_stated_and_doubted_where_it_is_not(amount):
+    for mount in ("base", "tool")[:amount]:
+        exact = scene(5, mount, noise=0.2, shift=2e-4, turn=2e-4)
+        inverted = replace(exact, tool=np.linalg.inv(exact.tool))
+        stated = calibrate(inverted, INTRINSICS, mounts=(mount,))
+        assert "poses_inverted" in codes(stated)
+        assert judge(stated).grade == "FAIL"
+        assert codes(calibrate(inverted, INTRINSICS)) == ["exchanged"]
+
+
+@pytest.mark.amount(1, 3)
+def test_distortion_that_single_images_show_is_found_behind_the_robots_errors(amount):
+    for seed in range(amount):
+        result = calibrate(scene(8, "tool", seed=seed, noise=0.15, shift=3e-4, turn=3e-4), None, mounts=("tool",))
+        assert len(result.fitted.free) == 6
+        assert result.fitted.placed.intrinsics[4] == pytest.approx(INTRINSICS[4], abs=0.03)
+
+
+def test_one_wrong_image_is_set_aside_by_name_with_how_far_its_pose_is_off():
+    view = scene(9, "base", noise=0.2, shift=2e-4)
+    tool = view.tool.copy()
+    tool[4] = tool[4] @ pose((0.0, 0.012, 0.0), (0, 0, 0))
+    result = calibrate(replace(view, tool=tool), INTRINSICS, mounts=("base",), lens="given")
+    assert [image.name for image in result.outlying_images] == ["shot_05"]
+    assert result.outlying_images[0].shift == pytest.approx(0.012, rel=0.15)
+    assert judge(result).grade == "CHECK"
+    assert "shot_05" not in result.scene.names
+
+
+@pytest.mark.amount(0, 1)
+def test_a_large_move_is_named_as_a_move():
+    view = scene(8, "base", noise=0.2, shift=2e-4, turn=2e-4)
+    late = np.arange(8)[:, None, None] >= 4
+    tool = np.where(late, view.tool @ pose((0.03, 0.01, 0.0), (0, 0, 4)), view.tool)
+    result = calibrate(replace(view, tool=tool), INTRINSICS, mounts=("base",))
+    assert codes(result)[0] == "moved"
+    assert "the board moved before image shot_05" in judge(result).reasons[0]
+    assert judge(result).grade == "FAIL"
+
+
+def test_turning_about_one_axis_alone_is_refused_or_said():
+    item = scene(8, "tool", noise=0.1)
+    spin = [item.tool[0] @ pose((0, 0, 0), (0, 0, 10 * k)) for k in range(8)]
+    view = np.linalg.inv(CAMERA["tool"]) @ np.linalg.inv(np.array(spin)) @ BOARD["tool"]
+    body = board_points()
+    pixels = np.concatenate([pixels_of(body @ at[:3, :3].T + at[:3, 3]) for at in view])
+    with pytest.raises(NotIdentifiableError, match="about two axes or more"):
+        calibrate(replace(item, tool=np.array(spin), pixels=pixels), INTRINSICS, mounts=("tool",), lens="given")
+
+
+def test_too_few_images_are_an_error():
+    with pytest.raises(DataError, match="give at least 3"):
+        calibrate(scene(2, "tool"), INTRINSICS)
+
+
+@pytest.mark.parametrize("mount", ["tool", "base"])
+def test_exported_files_hold_the_same_transform_in_the_direction_of_their_format(mount, good):
+    result = replace(good, scene=replace(good.scene, mount=mount))
+    made = {name: text.decode() for name, text in files(result, Frames("world", "flange", "cam", "chart")).items()}
+    want, parent = result.fitted.placed.camera, {"tool": "flange", "base": "world"}[mount]
+    at = made["static_transform.sh"].split("static_transform_publisher ")[1].split()
+    publisher = dict(zip(at[::2], at[1::2], strict=True))
+    launched = ast.literal_eval(re.search(r"arguments=(\[.*\])", made["camera_pose.launch.py"])[1])
+    compile(made["camera_pose.launch.py"], "camera_pose.launch.py", "exec")
+    assert dict(zip(launched[::2], launched[1::2], strict=True)) == publisher
+    assert (publisher["--frame-id"], publisher["--child-frame-id"]) == (parent, "cam")  # tf2: the child in the parent
+    first, second = (yaml.safe_load(made[name]) for name in ("easy_handeye.yaml", "easy_handeye2.calib"))
+    json_camera = json.loads(made["hand_eye.json"])["camera"]
+    assert (json_camera["parent"], json_camera["child"]) == (parent, "cam")
+    keys = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    moved, turned = (second["transform"][part] for part in ("translation", "rotation"))
+    forms = [
+        [float(publisher[f"--{key}"]) for key in keys],
+        [first["transformation"][key] for key in keys],
+        [*(moved[key] for key in "xyz"), *(turned[key] for key in "xyzw")],
+        [json_camera[key] for key in keys],
+    ]
+    for numbers in forms:
+        assert np.allclose(numbers[:3], want[:3, 3], rtol=0, atol=1e-11)
+        assert np.allclose(Rotation.from_quat(numbers[3:]).as_matrix(), want[:3, :3], rtol=0, atol=1e-11)
+    assert np.allclose(np.loadtxt(made["camera_matrix.txt"].splitlines()), want, rtol=0, atol=1e-14)
+    assert np.allclose(json_camera["matrix"], want, rtol=0, atol=0)
+    hand = mount == "tool"
+    # easy_handeye passes the keys to a constructor, which needs the first and knows these alone
+    assert first["parameters"] == {
+        "namespace": f"/easy_handeye_eye_on_{'hand' if hand else 'base'}/",
+        "move_group_namespace": "/",
+        "move_group": "manipulator",
+        "eye_on_hand": hand,
+        "robot_base_frame": "world",
+        "robot_effector_frame": "flange",
+        "tracking_base_frame": "cam",
+        "tracking_marker_frame": "chart",
+    }
+    assert second["parameters"]["calibration_type"] == ("eye_in_hand" if hand else "eye_on_base")
+    assert content(result, Frames())["camera_on"] == mount
+
+
+@pytest.mark.quick(0)
+def test_corners_that_are_off_go_by_themselves_and_are_no_doubt(clean, good):
+    assert not np.any(point_errors(clean, INTRINSICS, (0, 1, 2, 3, 4, 5)))
+    off = {7: (6.0, 0.0), 11: (0.0, -5.0), 105: (-4.0, 4.0), 184: (9.0, 3.0)}  # two of them in one image
+    pixels = clean.pixels.copy()
+    pixels[list(off)] += list(off.values())
+    result = calibrate(replace(clean, pixels=pixels), INTRINSICS, mounts=("tool",))
+    told = {(point.image, point.pixel) for point in result.points_off}
+    assert told == {(clean.names[clean.image[k]], tuple(pixels[k].tolist())) for k in off}
+    distances = sorted((point.distance for point in result.points_off), reverse=True)
+    assert np.allclose(distances, sorted((np.hypot(*step) for step in off.values()), reverse=True), atol=1.2)  # 4 sigma
+    assert judge(result).grade == "PASS"
+    assert rms(result.left_out.board) < 1.02 * rms(good.left_out.board)
+    assert f"4 of {len(pixels)}: " in report(result, Frames())
+    assert len(content(result, Frames())["points_left_out"]) == 4
+
+
+@pytest.mark.quick(0)
+def test_so_many_corners_off_are_a_reason_to_look():
+    images = scene(8, "tool", seed=4, noise=0.1)
+    generator, pixels = np.random.default_rng(1), images.pixels.copy()
+    chosen = np.concatenate([np.flatnonzero(images.image == i)[[1, 8, 17]] for i in range(8)])
+    pixels[chosen] += generator.choice([-6.0, 6.0], (len(chosen), 2))
+    result = calibrate(replace(images, pixels=pixels), INTRINSICS, mounts=("tool",), lens="given")
+    assert len(result.points_off) >= len(chosen) - 2
+    assert judge(result).grade == "CHECK"
+    assert any("points do not fit the others of their image" in reason for reason in judge(result).reasons)
+
+
+def test_a_place_that_is_known_to_a_twentieth_of_the_distance_is_no_pass(good):
+    """The same photographs, with a covariance as of poses that say little."""
+    shift, turn = good.uncertainty()["camera"]
+    assert max(shift / good.distance, turn) < 0.01
+    for times, grade in ((0.045, "PASS"), (0.055, "CHECK")):
+        wider = (times / max(max(part[0] / good.distance, part[1]) for part in good.uncertainty().values())) ** 2
+        wide = replace(good, fitted=replace(good.fitted, covariance=wider * good.fitted.covariance))
+        assert judge(wide).grade == grade
+    assert any("is known to only" in reason for reason in judge(wide).reasons)
+    assert 0.4 < good.distance < 0.7  # where the set-up has the board

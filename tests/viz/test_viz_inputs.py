@@ -1,0 +1,126 @@
+"""From a robot, a fit or its folder, and measurements to a scene."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import calib
+from calib.core.base.errors import DataError, InputError
+from tests.project import ROOT
+from tests.viz.viz_examples import five_bar_fit, measurements, medrue_fit, medrue_robot, spoiled
+from viz.inputs import gather
+from viz.judgement import judgement_of_result
+
+ARM = """<robot name="arm"><link name="root"/><link name="l1"/><link name="l2"/><link name="tip"/>
+ <joint name="a" type="revolute"><parent link="root"/><child link="l1"/><origin xyz="0 0 {height}"/><axis xyz="0 0 1"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+ <joint name="b" type="revolute"><parent link="l1"/><child link="l2"/><origin xyz="0.5 0 0"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+ <joint name="c" type="fixed"><parent link="l2"/><child link="tip"/><origin xyz="0.4 0 0.1"/></joint></robot>"""
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return medrue_fit()
+
+
+def test_a_folder_shows_the_same_as_the_fit_that_was_saved(fit, tmp_path):
+    fit.save(str(tmp_path / "out"), pages=False)
+    from_fit, from_folder = gather(medrue_robot(), fit), gather(medrue_robot(), tmp_path / "out")
+    a, b = from_fit.scene, from_folder.scene
+    np.testing.assert_allclose(b.solid.values, a.solid.values, atol=1e-9)
+    np.testing.assert_allclose(b.ghost.values, a.ghost.values, atol=1e-9)
+    np.testing.assert_allclose(b.poses.error("after"), a.poses.error("after"), atol=1e-12)
+    assert b.states == ("before", "after")
+
+
+def test_measurements_alone_show_the_nominal_errors():
+    data = measurements(range(0, 420, 60))
+    shown = gather(medrue_robot(), None, data)
+    assert shown.scene.states == ("before",)
+    assert shown.ghost is None
+    np.testing.assert_allclose(shown.scene.poses.sigma, 4e-5)  # the description states it
+
+
+def test_a_robot_whose_base_is_unknown_is_placed_before_it_is_judged(tmp_path):
+    true_path, path = tmp_path / "true.urdf", tmp_path / "arm.urdf"
+    path.write_text(ARM.format(height="0.3"))
+    true_path.write_text(ARM.format(height="0.3"))
+    robot = calib.load(path)
+    base = robot.mechanism.origin_names[robot.mechanism.targets[0].a - 1]
+    moved = robot.with_parameters({f"{base}.x": 3.0, f"{base}.rz": 0.7})
+    q = np.random.default_rng(0).uniform(-1, 1, (12, 2))
+    data = calib.as_measurements(robot, q, moved.positions(q))
+    scene = gather(robot, None, data).scene
+    np.testing.assert_allclose(scene.poses.error("before"), 0.0, atol=1e-9)
+
+
+def test_a_folder_without_a_result_and_a_fit_of_another_robot_are_refused(fit, tmp_path):
+    with pytest.raises(DataError, match="holds no result"):
+        gather(medrue_robot(), tmp_path)
+    (tmp_path / "arm.urdf").write_text(ARM.format(height="0.3"))
+    with pytest.raises(InputError, match="another robot"):
+        gather(calib.load(tmp_path / "arm.urdf"), fit)
+    fit.save(str(tmp_path / "out"), pages=False)
+    with pytest.raises(DataError, match="another robot"):
+        gather(calib.load(tmp_path / "arm.urdf"), tmp_path / "out")
+
+
+@pytest.mark.quick(0)
+def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
+    robot = five_bar_fit().nominal
+    data = five_bar_fit().identification.data
+    points = data.points(robot) + np.random.default_rng(1).normal(scale=0.005, size=(len(data), 1, 3))
+    fit = calib.fit(robot, calib.as_measurements(robot, data.joints, points), sigma=4e-5)
+    assert fit.verdict.grade == "FAIL"
+    fit.save(str(tmp_path / "out"), pages=False)
+    for scene in (gather(robot, fit).scene, gather(robot, tmp_path / "out").scene):
+        assert scene.verdict.grade == "FAIL"
+        assert "noise" in scene.verdict.reasons[0][1]
+
+
+@pytest.mark.quick(0)
+def test_a_folder_shows_the_outliers_that_were_left_out(tmp_path):
+    fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), exclude_outliers=True)
+    fit.save(str(tmp_path / "out"), pages=False)
+    own, saved = (gather(medrue_robot(), result).scene for result in (fit, tmp_path / "out"))
+    assert own.notes == saved.notes == ()
+    left_out = [np.flatnonzero(np.array(scene.poses.group) == "left out") for scene in (own, saved)]
+    assert left_out[0].tolist() == left_out[1].tolist() == [83]
+    np.testing.assert_allclose(saved.poses.after[83] - saved.poses.measured[83],
+                               own.poses.after[83] - own.poses.measured[83], rtol=0, atol=1e-12)  # fmt: skip
+    assert saved.poses.outlier[83]
+
+
+@pytest.mark.quick(0)
+def test_what_a_file_says_about_itself_is_shown_with_its_data(fit, tmp_path):
+    data = dataclasses.replace(measurements(range(0, 420, 60)), comments=("Simulated measurements",))
+    for scene in (gather(medrue_robot(), None, data).scene, gather(medrue_robot(), fit, data).scene):
+        assert scene.remarks.lines == ("Simulated measurements",)
+        assert scene.remarks.simulated
+    assert gather(medrue_robot(), fit).scene.remarks.lines == ()
+    said = dataclasses.replace(fit.identification.data, comments=("Simulated measurements",))
+    identification = dataclasses.replace(fit.identification, data=said)
+    dataclasses.replace(fit, identification=identification).save(str(tmp_path / "out"), pages=False)
+    assert gather(medrue_robot(), tmp_path / "out").scene.remarks.lines == ("Simulated measurements",)
+
+
+def test_a_reason_has_its_own_grade_or_none_where_it_is_not_known():
+    entry = {"grade": "FAIL", "reasons": ["a", "b"], "codes": ["x", "y"]}
+    assert judgement_of_result(entry).reasons == (("FAIL", "a"), ("", "b"))
+    assert judgement_of_result(entry | {"grade": "CHECK"}).reasons == (("CHECK", "a"), ("CHECK", "b"))
+    assert judgement_of_result(entry | {"grades": ["FAIL", "CHECK"]}).reasons == (("FAIL", "a"), ("CHECK", "b"))
+
+
+def test_a_folder_says_the_same_as_its_fit(fit, tmp_path):
+    fit.save(str(tmp_path / "out"), pages=False)
+    verdicts = [gather(medrue_robot(), result).scene.verdict for result in (fit, tmp_path / "out")]
+    assert verdicts[0].following == verdicts[1].following != ""
+
+
+def test_a_folder_of_an_earlier_version_says_that_it_has_no_readings():
+    folder = ROOT / "tests" / "version_1"
+    scene = gather(calib.load(folder / "nominal.yaml"), folder).scene
+    assert "readings are not shown" in scene.notes[0]
+    assert scene.verdict.grade == "PASS"

@@ -1,0 +1,131 @@
+"""The pose table: from fits, folders and measurements; errors, uncertainty and outliers."""
+
+import numpy as np
+import pytest
+
+import calib
+from tests.viz.viz_examples import measurements, medrue_fit, medrue_robot, pose_table, spoiled
+from viz.pose_sources import from_fit, from_measurements
+from viz.poses import empty
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return medrue_robot()
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return medrue_fit()
+
+
+def small(**changes):
+    poses = {"q": np.zeros((4, 2)), "measured": np.zeros((4, 3)), "before": np.ones((4, 3))}
+    poses |= {"after": np.full((4, 3), 1e-3), "sigma": np.full(4, 1e-3), "spread": np.zeros((4, 3))}
+    return pose_table(**(poses | changes))
+
+
+def test_the_table_of_a_fit_holds_its_errors(fit):
+    table = from_fit(fit)
+    assert len(table) == 84 + 47
+    assert table.group.count("identification") == 84
+    np.testing.assert_allclose(table.error("before")[:84], fit.identification.before["tool"], atol=1e-15)
+    np.testing.assert_allclose(table.error("after")[84:], fit.validation.after["tool"], atol=1e-15)
+
+
+def test_predictions_of_a_fit_agree_with_the_robots(fit):
+    table = from_fit(fit)
+    np.testing.assert_allclose(table.after, fit.robot.positions(table.joints)[:, 0], atol=1e-10)
+    np.testing.assert_allclose(table.before, fit.nominal.positions(table.joints)[:, 0], atol=1e-10)
+
+
+@pytest.mark.quick(0)
+def test_the_spread_of_predictions_agrees_with_random_parameters(fit):
+    table = from_fit(fit)
+    generator = np.random.default_rng(0)
+    draws = generator.multivariate_normal(np.zeros(int(fit.free.sum())), fit.covariance.values, size=100)
+    values = fit.robot.values + np.zeros((100, len(fit.free)))
+    values[:, fit.free] += draws
+    q = table.joints[:3]
+    cloud = np.array([fit.robot.with_parameters(row).positions(q)[:, 0] for row in values])
+    # 100 draws give a standard deviation to 7 %; four of these sigmas
+    np.testing.assert_allclose(cloud.std(axis=0, ddof=1), table.spread[:3], rtol=0.29)
+
+
+def test_a_wrong_reading_is_marked_where_it_is():
+    wrong = spoiled(measurements(np.arange(0, 420, 5)))
+    table = from_fit(calib.fit(medrue_robot(), wrong))
+    assert np.flatnonzero(table.outlier).tolist() == [10]
+    assert set(table.group) == {"identification"}
+
+
+def test_outliers_that_were_left_out_stay_in_the_table():
+    wrong = spoiled(measurements(np.arange(0, 420, 5)))
+    fit = calib.fit(medrue_robot(), wrong, exclude_outliers=True)
+    table = from_fit(fit)
+    assert table.group.count("identification") == 83
+    row = table.group.index("left out")
+    assert table.outlier[row]
+    assert table.labels[row] == "50"
+    np.testing.assert_allclose(
+        table.error("after")[row, 2], -1e-3, atol=2e-4
+    )  # noise and uncertainty of the prediction
+
+
+def test_residuals_over_an_unknown_sigma_are_unknown():
+    assert np.isnan(small(sigma=np.array([0.0, np.nan, 1e-3, 1e-3])).normalised_residuals()[:2]).all()
+    np.testing.assert_allclose(small().normalised_residuals(), 1.0)
+
+
+def test_a_result_folder_gives_the_same_table(tmp_path):
+    wrong = spoiled(measurements(np.arange(0, 420, 5)))
+    fit = calib.fit(medrue_robot(), wrong, validation=measurements(np.arange(3, 420, 9), seed=2))
+    fit.save(str(tmp_path / "out"), pages=False)
+    saved, table = from_fit(calib.load_result(tmp_path / "out").fit), from_fit(fit)
+    assert saved.group == table.group
+    assert saved.labels == table.labels
+    assert saved.outlier.tolist() == table.outlier.tolist()
+    assert saved.outlier.sum() >= 1
+    for name in ("joints", "measured", "before", "after", "sigma", "spread"):
+        np.testing.assert_allclose(getattr(saved, name), getattr(table, name), rtol=1e-6, atol=1e-12)
+
+
+def test_measurements_without_a_calibrated_robot_have_no_error_after(robot):
+    data = measurements(np.arange(4))
+    table = from_measurements(data, robot, None, {})
+    assert np.isnan(table.after).all()
+    np.testing.assert_allclose(table.before, robot.positions(data.joints)[:, 0])
+    assert set(table.group) == {"measured"}
+
+
+def test_tables_are_read_only_copies():
+    measured = np.zeros((4, 3))
+    table = small(measured=measured)
+    measured[0] = 1.0
+    assert np.all(table.measured == 0)
+    with pytest.raises(ValueError, match="read-only"):
+        table.measured[0] = 1.0
+
+
+def test_an_empty_table_has_the_robots_joints(robot):
+    assert empty(robot).joints.shape == (0, 6)
+
+
+def test_a_mean_of_readings_is_surer_than_one_reading():
+    table = small(readings=np.array([4, 4, 1, 1]), sigma=np.array([1e-3, 1e-3, 2e-3, 2e-3]))
+    np.testing.assert_allclose(table.sigma_of_reading(), 2e-3)
+    np.testing.assert_allclose(table.normalised_residuals()[:, 0], [1.0, 1.0, 0.5, 0.5])
+
+
+def test_poses_held_out_of_one_file_keep_their_places_in_it(robot):
+    data = measurements(np.arange(0, 420, 4))
+    kept, held = (np.flatnonzero(np.arange(105) % 5 != 2), np.flatnonzero(np.arange(105) % 5 == 2))
+    table = from_fit(calib.fit(robot, data.subset(kept), validation=data.subset(held)))
+    assert set(table.series) == {"memory"}
+    assert table.place.tolist() == [*kept, *held]
+
+
+def test_files_of_their_own_are_series_of_their_own(fit):
+    table = from_fit(fit)
+    assert table.series == ("memory (identification)",) * 84 + ("memory (validation)",) * 47
+    assert table.place.tolist() == [*range(84), *range(47)]

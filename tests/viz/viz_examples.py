@@ -1,0 +1,127 @@
+"""Examples that the tests of the viewer and the report share: MedRUE measured with Table I's actual parameters."""
+
+import dataclasses
+import functools
+import re
+from datetime import UTC, datetime
+
+import numpy as np
+
+import calib
+import medrue
+from calib.core.data.in_memory import measurements as put_together
+from calib.core.data.in_memory import plain_readings
+from medrue.closed_form import forward
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+from tests.project import EXAMPLES
+from viz.poses import PoseTable
+from viz.report_page import report_page
+
+NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
+
+
+def medrue_robot():
+    return calib.load(medrue.robot_file())
+
+
+def measurements(rows, seed=1, sigma=4e-5, path="memory"):
+    """Simulated measurements at these rows of the target workspace; positions from the closed form."""
+    rows = np.asarray(rows)
+    q = target_workspace().q[rows]
+    positions = forward(q, table1().actual).p_world_tool + np.random.default_rng(seed).normal(0, sigma, (len(q), 3))
+    names = tuple(str(row) for row in rows)
+    return put_together(calib.Poses(q, names, names, path, ()), {"tool": plain_readings(positions)})
+
+
+@functools.cache
+def medrue_fit(identification=range(0, 420, 5), validation=range(3, 420, 9)):
+    held_out = None if validation is None else measurements(validation, seed=2)
+    return calib.fit(medrue_robot(), measurements(identification), validation=held_out)
+
+
+@functools.cache
+def five_bar_fit():
+    folder = EXAMPLES
+    return calib.fit(calib.load(folder / "five_bar.yaml"), folder / "five_bar_simulated.csv", validation=0.25)
+
+
+def undrawn(fit, **options):
+    """The report of a fit without its scripts, which are long."""
+    return re.sub(r"<script.*?</script>", "", report_page(fit, created=NOON, **options).html, flags=re.S)
+
+
+def words_of(html):
+    """What a page says, without what it draws."""
+    return " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"<(svg|style|script).*?</\1>", " ", html, flags=re.S)).split())
+
+
+LONG_NAMES = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint",
+              "the_joint_whose_name_nobody_wanted_to_shorten")  # fmt: skip
+
+
+def long_named_fit(folder, repeats=5):
+    """An arm with the names that robots have, not those of papers, measured several times at each pose."""
+    joints, links, parent = "", '<link name="root"/>', "root"
+    for k, (name, axis) in enumerate(
+        zip(LONG_NAMES, ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1", "0 1 0"), strict=True)
+    ):
+        links += f'<link name="link_{k}"/>'
+        joints += f"""<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="link_{k}"/>
+          <origin xyz="0 {0.05 * k:.2f} 0.2"/><axis xyz="{axis}"/>
+          <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>"""
+        parent = f"link_{k}"
+    flange = f'<link name="flange"/><joint name="end" type="fixed"><parent link="{parent}"/><child link="flange"/>'
+    path = folder / "arm.urdf"
+    path.write_text(f'<robot name="long names">{links}{joints}{flange}<origin xyz="0.05 0 0.1"/></joint></robot>')
+    robot, generator = calib.load(path), np.random.default_rng(3)
+    q = np.repeat(generator.uniform(-1.5, 1.5, (40, 6)), repeats, axis=0)
+    names = tuple(str(k // repeats + 1) for k in range(len(q)))
+    true = robot.with_parameters(robot.values + 3e-4 * generator.standard_normal(len(robot.values)))
+    positions = true.positions(q) + generator.normal(0, 8e-5, (len(q), 1, 3))
+    data = calib.as_measurements(robot, calib.Poses(q, names, names, "memory", ()), positions)
+    kept, held = np.arange(0, 30 * repeats), np.arange(30 * repeats, 40 * repeats)
+    return calib.fit(robot, data.subset(kept), validation=data.subset(held))
+
+
+def medrue_robots():
+    """MedRUE, nominal and with Table I's actual parameters."""
+    nominal = medrue_robot()
+    return nominal, nominal.with_parameters(dict(zip(table1().names, table1().actual, strict=True)))
+
+
+def pose_table(q, measured, before, after, **changes):
+    """A table of one reading of 0.04 mm at each pose, for identification, without uncertainty of the prediction."""
+    n = len(q)
+    columns = {
+        "sigma": np.full(n, 4e-5),
+        "spread": np.full((n, 3), np.nan),
+        "group": ("identification",) * n,
+        "outlier": np.zeros(n, dtype=bool),
+        "labels": tuple(map(str, range(n))),
+        "targets": ("tool",) * n,
+        "readings": np.ones(n, dtype=np.intp),
+        "series": ("file.csv",) * n,
+        "place": np.arange(n),
+    }
+    return PoseTable(q, measured, before, after, **(columns | changes))
+
+
+def many_poses(n):
+    """MedRUE's nominal and calibrated robots and a pose table of `n` poses around the target workspace."""
+    nominal, calibrated = medrue_robots()
+    generator = np.random.default_rng(0)
+    q = np.resize(target_workspace().q, (n, 6)) + generator.normal(0, 2e-3, (n, 6))
+    before, after = (robot.positions(q)[:, 0] for robot in (nominal, calibrated))
+    groups = tuple(generator.choice(["identification", "validation"], n).tolist())
+    measured = after + generator.normal(0, 4e-5, (n, 3))
+    table = pose_table(q, measured, before, after, group=groups, outlier=generator.random(n) < 0.002)
+    return nominal, calibrated, table
+
+
+def spoiled(data, visit=10, by=1e-3):
+    """The same measurements of MedRUE, one of them wrong in z."""
+    values = data.readings["tool"].values.copy()
+    values[visit, 2] += by
+    readings = dataclasses.replace(data.readings["tool"], values=values)
+    return dataclasses.replace(data, readings={"tool": readings})

@@ -1,0 +1,226 @@
+"""Measurements that cannot give a calibration end in the right words and exit code, never in a wrong number."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.core.robots.file_formats import formats
+from calib.exporting.formats import JOINT_TABLES
+from calib.printers import COMMENTS as FIRMWARES
+from tests.six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
+from tests.small_robots import write_arm, write_parallelogram
+
+SIGMA = 4e-5
+NOT_FOR_ARMS = ("ur-kinematics", "rotary-axes", JOINT_TABLES, *FIRMWARES)
+ARM_HEADER = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [m]" for axis in "xyz")])
+UNKNOWN_BASE = YAML.replace("frame: l0", "frame: l0, pose: unknown")
+RNG = np.random.default_rng(3)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_six_axis(tmp_path)
+    (tmp_path / "priors.yaml").write_text(YAML + FREE)
+    (tmp_path / "unknown_base.yaml").write_text(UNKNOWN_BASE + FREE)
+    return tmp_path
+
+
+@pytest.fixture
+def fit_file(folder, run_calib):
+    """Write joints and positions to a file, fit it, and return the run and the result (None if none was written)."""
+
+    def fit(q, positions, robot="arm.yaml", *options, header=ARM_HEADER):
+        rows = [",".join(repr(float(cell)) for cell in (*a, *b)) for a, b in zip(q, positions, strict=True)]
+        (folder / "data.csv").write_text("\n".join([header, *rows]) + "\n")
+        run = run_calib("fit", folder / robot, folder / "data.csv", "--out", folder / "out", *options)
+        result = folder / "out" / "result.json"
+        return run, json.loads(result.read_text()) if result.exists() else None
+
+    return fit
+
+
+def arm_positions(folder, q, sigma=SIGMA):
+    positions = calib.load(folder / "arm.yaml").positions(q)[:, 0]
+    return positions + sigma * RNG.standard_normal(positions.shape)
+
+
+def one_line(run):
+    assert len(run.err.strip().splitlines()) == 1
+    assert "Traceback" not in run.err
+    return run.err
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("command", ["fit", "check", "verify"])
+def test_a_file_given_twice_is_refused(folder, fit_file, run_calib, command):
+    q = joints(40)
+    fit_file(q, arm_positions(folder, q))
+    again = folder / ".." / folder.name / "data.csv"
+    options = ("--result", folder / "out") if command == "verify" else ()
+    options += ("--out", folder / "twice") if command == "fit" else ()
+    run = run_calib(command, folder / "arm.yaml", folder / "data.csv", again, *options)
+    assert run.code == 2
+    assert "data.csv: is given twice, so that every reading would count as two" in " ".join(one_line(run).split())
+    assert not (folder / "twice").exists()
+
+
+@pytest.mark.parametrize("n", [1, 2, 8])
+def test_too_few_rows_are_a_wrong_input(folder, fit_file, n):
+    run, result = fit_file(joints(n), arm_positions(folder, joints(n)))
+    assert run.code == 2
+    assert f"{n} pose" in one_line(run)
+    assert f"{3 * n} measured values for 26 unknowns without a prior; measure at least 9 poses" in run.err
+    assert result is None
+
+
+@pytest.mark.quick(0)
+def test_rank_loss_names_the_parameters_that_cannot_be_separated(folder, fit_file, run_calib):
+    (folder / "all.yaml").write_text("priors: false\n" + YAML + FREE)  # 36 components, 26 combinations
+    run, result = fit_file(joints(60), arm_positions(folder, joints(60)), "all.yaml")
+    assert run.code == 3
+    words = "26 combinations of the 36 free parameters can be found from these poses; 10 are NOT determined"
+    assert f"{words}; not separable: " in one_line(run)
+    assert "hold 10 of them" in run.err
+    assert result is None
+    assert f"{words}." in run_calib("check", folder / "all.yaml", folder / "data.csv").out
+
+
+@pytest.mark.quick(0)
+def test_check_and_fit_count_priors_in_the_same_words(folder, fit_file, run_calib):
+    """The ball adds its distance from axis 6 to what poses determine; along and about that axis priors hold it."""
+    yaml = "priors: false\n" + YAML.replace("mm]}", "mm], position: unknown, sigma: 5 mm}") + FREE
+    (folder / "all.yaml").write_text(yaml)
+    run, _ = fit_file(joints(60), arm_positions(folder, joints(60)), "all.yaml")
+    words = "27 combinations of the 39 free parameters can be found from these poses, 2 more stay near nominal; 10 are"
+    assert words in one_line(run)
+    assert words in run_calib("check", folder / "all.yaml", folder / "data.csv").out
+
+
+def test_all_poses_equal_without_priors(folder, fit_file):
+    q = np.tile(joints(1), (20, 1))
+    run, result = fit_file(q, arm_positions(folder, q))
+    assert run.code == 3
+    assert "(all poses are the same)" in one_line(run)
+    assert result is None
+
+
+def test_one_joint_never_moved_without_priors_is_named(folder, fit_file):
+    q = joints(60)
+    q[:, 2] = 0.4
+    run, _ = fit_file(q, arm_positions(folder, q))
+    assert run.code == 3
+    assert "(joint j3 never moved)" in one_line(run)
+
+
+def test_positions_on_a_line_fix_no_measurement_frame(folder, fit_file):
+    positions = np.array([2.0, 0, 0]) + np.outer(np.linspace(0, 1, 12), [1.0, 2.0, 0.5])
+    positions += SIGMA * RNG.standard_normal(positions.shape)
+    run, result = fit_file(joints(12), positions, "unknown_base.yaml")
+    assert run.code == 2
+    assert "data.csv: all measured positions lie on one line. They do not" in one_line(run)
+    assert result is None
+
+
+def test_all_poses_equal_fix_no_measurement_frame(folder, fit_file):
+    q = np.tile(joints(1), (20, 1))
+    run, result = fit_file(q, arm_positions(folder, q), "unknown_base.yaml")
+    assert run.code == 2
+    assert "data.csv: all poses are the same. They do not" in one_line(run)
+    assert result is None
+
+
+@pytest.mark.quick(0)
+def test_noise_of_metres_fails_and_exports_no_robot(folder, fit_file):
+    run, result = fit_file(joints(30), arm_positions(folder, joints(30), sigma=2.0))
+    assert run.code == 3
+    assert "calibrated.urdf was not written" in one_line(run)
+    assert run.err.startswith("calib: verdict FAIL: ")
+    assert "(--force writes it)" in run.err
+    assert "Verdict: FAIL" in run.out
+    assert result["verdict"]["grade"] == "FAIL"
+    assert "noise_as_large_as_robot" in result["verdict"]["codes"]
+    assert not (folder / "out" / "calibrated.urdf").exists()
+
+
+@pytest.mark.quick(0)
+def test_a_forced_export_says_so_in_every_format(folder, fit_file, run_calib):
+    run, result = fit_file(joints(30), arm_positions(folder, joints(30), sigma=2.0), "arm.yaml", "--force")
+    assert run.code == 0
+    assert result["verdict"]["forced"] is True
+    assert (folder / "out" / "calibrated.urdf").exists()
+    assert "verdict: FAIL, not to be used" in (folder / "out" / "parameters.csv").read_text()
+    for file_format in (item for item in formats() if item not in NOT_FOR_ARMS):
+        target = folder / f"exported.{'yaml' if file_format == 'toolbox' else file_format}"
+        run = run_calib(
+            "export", folder / "arm.yaml", "--result", folder / "out", "--format", file_format, "--out", target
+        )
+        assert run.code == 0, run.err
+        assert "failed" in one_line(run)
+        assert "verdict: FAIL, exported by force" in target.read_text()
+        assert "no fit: residuals" in target.read_text()
+    for command, given in (("predict", "data.csv"), ("solve", "predict.csv")):
+        target = folder / f"{command}.csv"
+        run = run_calib(command, folder / "arm.yaml", folder / given, "--result", folder / "out", "--out", target)
+        assert run.code == 0, run.err
+        assert "failed" in one_line(run)
+        assert "# verdict: FAIL, exported by force" in target.read_text()
+
+
+def test_nan_from_python_is_named(folder):
+    robot = calib.load(folder / "arm.yaml")
+    positions = robot.positions(joints(40))
+    positions[5, 0, 1] = np.nan
+    with pytest.raises(calib.DataError, match="row 5: readings of 'ball' are not finite"):
+        calib.fit(robot, measurements(robot, joints(40), positions))
+    q = joints(40)
+    q[6, 2] = np.inf
+    with pytest.raises(calib.DataError, match="row 6: joint values are not finite"):
+        calib.fit(robot, replace(measurements(robot, joints(40), robot.positions(joints(40))), joints=q))
+
+
+@pytest.mark.parametrize("sigma", [0.0, -1e-4, np.nan, np.inf])
+def test_a_senseless_noise_is_refused(folder, sigma):
+    robot = calib.load(folder / "arm.yaml")
+    with pytest.raises(calib.DataError, match="must be a positive number"):
+        calib.fit(robot, measurements(robot, joints(40), robot.positions(joints(40))), sigma=sigma)
+
+
+def test_a_closed_loop_robot_ends_in_a_verdict_too(fit_file, tmp_path):
+    """Positions of other poses."""
+    q = np.linspace(0.35, 2.8, 20)[:, None]
+    positions = 0.5 * np.column_stack([np.cos(q) + 1, np.sin(q), 0 * q])
+    noise = RNG.standard_normal(positions.shape)
+    read, header = positions[::-1] + SIGMA * noise, "a [rad],pin_x,pin_y,pin_z"
+    run, result = fit_file(q, read, write_parallelogram(tmp_path), header=header)
+    assert run.code == 3
+    one_line(run)
+    if result is not None:
+        assert result["verdict"]["grade"] == "FAIL"
+
+
+@pytest.mark.amount(3000, 100_000)
+def test_a_hundred_thousand_rows_are_one_fit_like_any_other(tmp_path, amount):
+    yaml = """\
+urdf: arm.urdf
+name_mot: [turn, slide, wrist]
+base: {frame: ground}
+targets: {tip: {frame: tool}}
+priors: false
+parametrisation:
+  - {origin: turn, components: [x, y, z], sigma: 2 mm}
+  - {origin: slide, components: [rx, rz], sigma: 5 mrad}
+"""
+    robot = calib.load(write_arm(tmp_path, yaml))
+    n = amount
+    q = np.random.default_rng(0).uniform([-2, 0, -2], [2, 1, 2], (n, 3))
+    truth = robot.with_parameters({"turn.x": 1e-3, "slide.rz": 2e-3})
+    positions = truth.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((n, 1, 3))
+    fit = calib.fit(robot, measurements(robot, q, positions), sigma=SIGMA)
+    assert fit.verdict.grade == "PASS"
+    assert fit.sigma == pytest.approx(SIGMA, rel=1.6 / np.sqrt(n))  # four standard errors
+    assert fit.statistics.freedom == pytest.approx(3 * n - 5)
+    assert np.all(np.abs(fit.robot.values - truth.values) < 5 * fit.statistics.std)
+    assert np.max(fit.statistics.std) < 1e-3 / np.sqrt(n)  # readings of 0.04 mm, arm of 0.5 m

@@ -1,0 +1,494 @@
+"""Each headline of verify, check, select, compare and watch is said where it is true, and not without its cause."""
+
+import re
+from itertools import combinations
+
+import numpy as np
+import pytest
+import scipy
+
+import calib
+from calib.core.data.in_memory import as_poses
+from calib.planning.next_steps import advice_after_check
+from tests.project import EXAMPLES
+from tests.whole import headline_situations as h
+from tests.whole.headline_situations import Commands, derivative, joints, measured, on_one_line, value
+
+
+@pytest.fixture(scope="module")
+def commands(tmp_path_factory):
+    return Commands(tmp_path_factory.mktemp("headlines"))
+
+
+def numbers_of(pattern, text):
+    """Numbers in the groups of a pattern."""
+    match = re.search(pattern, text)
+    assert match, text
+    return [float(number) for number in match.groups()]
+
+
+# verify
+
+
+@pytest.fixture(scope="module")
+def by_hand(commands):
+    """Generalised least squares of the readings of `alone`, with the covariance of the fit and the base left open."""
+    fit, q = commands.fit, joints(25, 2)
+    points = measured(commands.changed(flange_z=3e-4), q, 3).points(fit.robot)
+    errors = (fit.robot.positions(q) - points).ravel()
+    of_robot = [name for name in fit.free_names if not name.startswith("base")]
+    free = [fit.covariance.names.index(name) for name in of_robot]
+    slope = derivative(fit.robot, q, of_robot)
+    spread = slope @ fit.covariance.values[np.ix_(free, free)] @ slope.T
+    base = derivative(fit.robot, q, [name for name in fit.free_names if name.startswith("base")])
+    root = np.linalg.cholesky(fit.sigma**2 * np.eye(len(errors)) + spread)
+    columns = np.column_stack([base, derivative(fit.robot, q, ["flange.z"])])
+    whitened, by = (np.linalg.solve(root, matrix) for matrix in (errors, columns))
+    return fit, errors, base, spread, whitened, by
+
+
+@pytest.mark.quick(0)
+def test_residuals_are_as_many_times_as_large_as_said(commands, by_hand):
+    fit, errors, base, spread, whitened, by = by_hand
+    square, m = np.linalg.lstsq(by[:, :6], whitened)[1][0], len(errors) - 6
+    low, high = np.sqrt(scipy.stats.f.ppf([0.025, 0.975], m, fit.statistics.freedom))
+    chance = scipy.stats.f.sf(square / m, m, fit.statistics.freedom)
+    said = r"are ([\d.]+) times .* is between ([\d.]+) and ([\d.]+) in 95 .* \(p = ([\de.-]+)\)"
+    assert numbers_of(said, commands.verify_texts["alone"]) == pytest.approx(
+        [np.sqrt(square / m), low, high, chance],
+        rel=2e-2,  # two digits of the last are said
+    )
+    placed = np.eye(len(errors)) - base @ np.linalg.pinv(base)
+    noise = fit.sigma * np.sqrt(3 * m / len(errors))
+    open_ = np.sqrt(np.trace(placed @ spread @ placed) / 25)
+    said = r"over 25 poses: ([\d.]+) mm RMS.* expected: ([\d.]+) mm RMS \(noise ([\d.]+) mm, .* ([\d.]+) mm\)"
+    expected = [1e3 * h.rms(placed @ errors), 1e3 * np.hypot(noise, open_), 1e3 * noise, 1e3 * open_]
+    assert numbers_of(said, commands.verify_texts["alone"]) == pytest.approx(expected, abs=2e-4)
+
+
+def test_residuals_that_are_too_small_are_told(commands):
+    """The readings have a third of the noise; or they are those of the calibration, which are nearer to it."""
+    (ratio,) = numbers_of(r"Residuals are ([\d.]+) times", commands.verify_texts["quiet"])
+    assert ratio == pytest.approx(0.3 * h.SIGMA / commands.fit.sigma, rel=0.3)
+    assert "That is less than chance explains" in commands.verify_texts["quiet"]
+    assert "less than chance explains" not in commands.verify_texts["agrees"]
+
+
+def test_a_change_has_the_size_that_is_said(commands, by_hand):
+    _, _, _, _, whitened, by = by_hand
+    size, std = -np.linalg.lstsq(by, whitened)[0][-1], np.sqrt(np.linalg.inv(by.T @ by)[-1, -1])
+    said = r"flange\.z has changed by \+([\d.]+) mm \(standard deviation ([\d.]+)\)"
+    assert numbers_of(said, commands.verify_texts["alone"]) == pytest.approx([1e3 * size, 1e3 * std], abs=1e-4)
+    assert "has changed by" not in commands.verify_texts["agrees"]
+
+
+def test_changes_that_readings_cannot_tell_apart_move_the_tip_alike(commands):
+    texts = commands.verify_texts
+    assert "zero of slide has changed by +0.29" in texts["alike"]
+    assert "cannot tell it from a change of slide.x, wrist.x" in texts["alike"]
+    assert "cannot tell it" not in texts["alone"]
+    q = joints(25, 2)
+    by = derivative(commands.fit.robot, q, ["slide.x", "wrist.x", "flange.z"]).T
+    moved, there = (commands.fit.robot.positions(q + np.array([0, size, 0])) for size in (1e-6, 0))
+    zero = (moved - there).ravel() / 1e-6
+    for column, alike in ((by[1], True), (zero, True), (by[2], False)):
+        scale = column @ by[0] / (column @ column)
+        assert (h.rms(3e-4 * (scale * column - by[0])) < h.SIGMA) == alike
+
+
+def test_one_change_that_explains_little_is_told_beside_what_it_leaves(commands):
+    texts = commands.verify_texts
+    name, p = re.search(
+        r"A change of (\S+) by \S+ mm .* does not explain .*: the rest has p = (\S+)", texts["two"]
+    ).groups()
+    assert name in ("slide.x", "flange.z")
+    assert float(p) < 0.005
+    assert "does not explain" not in texts["alone"]
+    assert [commands.verified[name].verdict for name in ("two", "alone")] == ["calibrate again", "drifted"]
+    largest = re.search(r"No change stands out: the largest, of \S+, has p = (\S+) \(sig", texts["agrees"])[1]
+    assert float(largest) >= 0.005
+
+
+def test_millimetres_do_not_count_what_was_left_out(commands):
+    """One reading is 10 mm off; the others are where they were, and so is the base that they place."""
+    said = r"over (\d+) poses: ([\d.]+) mm RMS, ([\d.]+) mm at worst"
+    assert "Left out, further off than noise explains: pose 7" in commands.verify_texts["slip"]
+    assert "Left out" not in commands.verify_texts["agrees"]
+    assert [commands.verified[name].verdict for name in ("slip", "agrees")] == ["agrees", "agrees"]
+    kept = np.delete(np.arange(25), 7)
+    q = joints(25, 7)
+    errors = commands.fit.robot.positions(q)[kept, 0] - measured(commands.truth, q, 7).points(commands.truth)[kept, 0]
+    base = derivative(commands.fit.robot, q[kept], [f"base.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")])
+    left = (errors.ravel() - base @ np.linalg.lstsq(base, errors.ravel())[0]).reshape(-1, 3)
+    sizes = 1e3 * np.linalg.norm(left, axis=1)
+    expected = [24, np.sqrt(np.mean(sizes**2)), np.max(sizes)]
+    assert numbers_of(said, commands.verify_texts["slip"]) == pytest.approx(expected, abs=2e-4)
+
+
+def test_the_ratio_is_said_to_count_where_uncertain_directions_hide_a_change(commands):
+    """The same readings; the calibration from a corner expects more millimetres than there are."""
+    hidden, seen = (commands.verified[name] for name in ("hidden", "seen"))
+    assert "Judge by the ratio: most of this error" in commands.verify_texts["hidden"]
+    assert hidden.calibration_rms > 0.9 * hidden.expected_rms
+    assert hidden.errors.table()["after"]["rms"] < 1e3 * hidden.expected_rms
+    assert "Judge by the ratio" not in commands.verify_texts["seen"]
+    assert seen.errors.table()["after"]["rms"] > 1e3 * seen.expected_rms
+
+
+def test_a_change_among_residuals_that_are_no_larger_than_expected_is_explained(commands):
+    faint, alone = (commands.verified[name] for name in ("faint", "alone"))
+    assert faint.ratio < faint.high95
+    assert "they have the pattern of this change" in commands.verify_texts["faint"]
+    assert alone.ratio > alone.high95
+    assert "in common" not in commands.verify_texts["alone"]
+
+
+def test_base_and_target_are_said_to_take_degrees_of_freedom_where_they_do(commands):
+    assert "so AP has 6 degrees of freedom less" in commands.verify_texts["often"]
+    assert "degrees of freedom less" not in commands.verify_texts["same setup"]
+
+
+@pytest.mark.quick(0)
+def test_a_plan_says_which_changes_show_and_which_never_do(commands, run_calib, tmp_path):
+    _, results = commands.results
+    lines = [",".join(commands.robot.joint_names), *(",".join(map(str, q)) for q in joints(20, 6))]
+    (tmp_path / "plan.csv").write_text("\n".join(lines) + "\n")
+
+    def said(change, *options):
+        run = run_calib("verify", results / "arm", tmp_path / "plan.csv", "--plan", "--change", change, *options)
+        assert run.code == 0, run.err
+        return on_one_line(run.out)
+
+    text = said("flange.z=0.05 mm")
+    assert "Smallest changes that 20 poses of" in text
+    (n,) = map(int, numbers_of(r"The first (\d+) poses show flange\.z=0\.05 mm with a chance of 90 %", text))
+    by = {
+        count: calib.core.judging.acceptance.visible_changes(commands.fit, joints(20, 6)[:count])
+        for count in (n - 1, n)
+    }
+    assert [any(c.name == "flange.z" and c.visible <= 5e-5 for c in by[count]) for count in (n - 1, n)] == [False, True]
+    assert "All 20 poses are too few to show flange.z=0.001 mm with a chance of 90 %; add" in said("flange.z=0.001 mm")
+    never = said("turn.x=5 mm")
+    assert (
+        "No number of such poses shows a change of turn.x: readings do not depend on it, or the new places of" in never
+    )
+    by_turn, by_base = (
+        derivative(commands.fit.robot, joints(20, 6), ["turn.x"]),
+        derivative(commands.fit.robot, joints(20, 6), [f"base.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")]),
+    )
+    assert np.linalg.norm(by_turn - by_base @ np.linalg.pinv(by_base) @ by_turn) < 1e-6
+    assert "The first" in said("turn.x=5 mm", "--same-setup")
+
+
+# check
+
+
+def uncertainty(robot, names, q, task, sigma, priors=()):
+    """Covariance of errors of positions at the task from noise at q and expected errors [m or rad], (3 n, 3 n)."""
+    slope, there = derivative(robot, q, names), derivative(robot, task, names)
+    information = slope.T @ slope / sigma**2
+    if len(priors):
+        information += np.diag(1.0 / np.square(priors))
+    return there @ np.linalg.inv(information) @ there.T
+
+
+@pytest.mark.quick(0)
+def test_the_predicted_error_counts_noise_and_where_there_are_any_expected_errors(commands):
+    base = commands.checked["base"]
+    names = [p.name for p in base.parameters]
+    spread = uncertainty(commands.few_free[0], names, joints(20, 3), joints(20, 3), h.SIGMA)
+    said = r"position error ([\d.]+) mm RMS, .*, from measurement noise alone\."
+    assert numbers_of(said, commands.check_texts["base"]) == pytest.approx(
+        [1e3 * np.sqrt(np.trace(spread) / 20)], abs=1e-4
+    )
+    robot, sigmas = commands.robot, [p.sigma_si if p.prior else np.inf for p in commands.robot.parameters]
+    names = [p.name for p in robot.parameters]
+    spread = uncertainty(robot, names, joints(3, 3), joints(20, 4), 1e-7, sigmas)
+    said = r"position error ([\d.]+) mm RMS, .* noise and the expected errors of the parameters alone\."
+    by_both = [1e3 * np.sqrt(np.trace(spread) / 20)]  # 0.1 um is as good as the 1 nm that is asked for
+    assert numbers_of(said, commands.check_texts["priors"]) == pytest.approx(by_both, rel=1e-3)
+
+
+def test_what_moves_all_positions_as_one_body_is_told_apart_where_it_is_most(commands):
+    """At two positions alone it is nearly all, whatever the errors are."""
+    robot = commands.robot
+    sigmas = [p.sigma_si if p.prior else np.inf for p in robot.parameters]
+    spread = uncertainty(robot, [p.name for p in robot.parameters], joints(3, 3), joints(20, 4), 1e-7, sigmas)
+    points = robot.positions(joints(20, 4))[:, 0]
+    motions = np.concatenate([np.hstack([np.eye(3), -np.cross(np.eye(3), point)]) for point in points])
+    rest = np.eye(60) - motions @ np.linalg.pinv(motions)
+    beside = 1e3 * np.sqrt(np.trace(rest @ spread @ rest) / 20)
+    said = r"Most of this error moves all positions as one body.* positions are known to ([\d.]+) mm RMS"
+    assert numbers_of(said, commands.check_texts["priors"]) == pytest.approx([beside], rel=1e-3)
+    assert beside < 0.5e3 * np.sqrt(np.trace(spread) / 20)
+    two = commands.checked["two positions"]
+    assert two.rms_without_common < 0.5 * two.accuracy.rms
+    for name in ("two positions", "determined"):
+        assert "as one body" not in commands.check_texts[name]
+
+
+def test_no_error_is_predicted_where_none_can_be(commands):
+    """The slide and the wrist stand still, and the task moves them."""
+    assert "With all 20: position error unbounded, because what is not determined" in commands.check_texts["still"]
+    robot, names = commands.few_free[0], [p.name for p in commands.checked["still"].parameters]
+    still = derivative(robot, joints(20, 3) * [1, 0, 0] + [0, 0.3, 0.2], names)
+    assert np.linalg.matrix_rank(still, rtol=1e-6) == 7
+    few = "7 combinations of the 9 free parameters can be found from these poses; 2 are NOT determined"
+    assert few in commands.check_texts["still"]
+    assert "unbounded" not in commands.check_texts["base"]
+
+
+def test_changes_that_no_reading_shows_move_nothing(commands):
+    texts, robot = commands.check_texts, commands.few_free[0]
+    assert "Every combination of the parameters shows in the readings." in texts["determined"]
+    said = re.search(r"These poses cannot tell apart: (.*?) To determine", texts["still"])[1]
+    still = joints(20, 3) * [1, 0, 0] + [0, 0.3, 0.2]
+    units = {"mm": 1e-3, "deg": np.pi / 180}
+    terms = re.findall(r"(?:(from|\+) )?(?:([\d.e-]+) (mm|deg) of )?(-?)([a-z]\w*\.\w+)", said)
+    groups: list[dict[str, float]] = []
+    side = 1.0
+    for link, amount, unit, minus, name in terms:
+        side = {"": 1.0, "from": -1.0, "+": side}[link]
+        if not link:
+            groups.append({})
+        groups[-1][name] = side * (-1 if minus else 1) * float(amount or 1) * units[unit or "mm"]
+    assert len(groups) == 2, said
+    for group in groups:
+        by = derivative(robot, still, list(group))
+        assert h.rms(by @ list(group.values())) < 2e-3 * 1e-3  # digits shown
+
+
+def test_poses_near_a_singularity_are_counted(commands):
+    """The links of the parallelogram lie on each other at the last pose."""
+    assert "Warning: 1 pose near a singularity of the loops: pose 30" in commands.check_texts["singular"]
+    assert "singularity" not in commands.check_texts["regular"]
+
+
+def test_a_target_that_is_read_from_an_unknown_place_is_not_counted(commands):
+    assert "Not counted: other (only instruments at unknown places see it)." in commands.check_texts["unknown place"]
+    assert "Not counted" not in commands.check_texts["base"]
+
+
+def test_after_a_check_the_next_step_is_what_the_poses_need(commands):
+    robot, q = commands.few_free[0], joints(20, 3)
+    poses, data = as_poses(robot, q), measured(robot, q, 1)
+    good, bad = (commands.checked[name] for name in ("base", "still"))
+    assert "calib sample r.yaml" in advice_after_check(good, "r.yaml", poses, (), {})
+    hold = "Next: hold parameters that are named above (`held` in the description), or add poses, and check again: "
+    assert advice_after_check(bad, "r.yaml", poses, ("p.csv",), {}) == f"{hold}calib check r.yaml p.csv"
+    assert advice_after_check(bad, "r.yaml", data, ("d.csv",), {}) == f"{hold}calib check r.yaml d.csv"
+    assert "fit these measurements: calib fit r.yaml d.csv" in advice_after_check(good, "r.yaml", data, ("d.csv",), {})
+    assert "choose the poses to measure: calib select" in advice_after_check(good, "r.yaml", poses, ("p.csv",), {})
+
+
+# select
+
+
+def scaled_rows(robot, q):
+    return derivative(robot, q, [p.name for p in robot.parameters]) * [p.sigma_si for p in robot.parameters]
+
+
+def o1(scaled):
+    """The first observability index of these rows, three for each pose."""
+    values = np.linalg.svd(scaled, compute_uv=False)
+    return float(np.exp(np.mean(np.log(np.maximum(values, 1e-300)))) / np.sqrt(len(scaled) / 3))
+
+
+def o1_of(robot, q):
+    return o1(scaled_rows(robot, q))
+
+
+def test_no_choice_exceeds_what_is_certified(commands):
+    """All 126 choices of five from nine."""
+    robot, q = commands.few_free[0], joints(9, 1)
+    scaled = scaled_rows(robot, q).reshape(9, 3, -1)
+    best = max(o1(scaled[list(choice)].reshape(15, -1)) for choice in combinations(range(9), 5))
+    _, selection = commands.selections["nine"]
+    said = r"O1 = ([\d.e-]+): at least ([\d.]+) % of the best possible choice \(certified\)"
+    reached, least = numbers_of(said, commands.select_texts["nine"])
+    assert reached == pytest.approx(o1_of(robot, q[selection.chosen]), rel=1e-4)
+    assert least <= 100 * reached / best * (1 + 1e-4)
+    assert "certified" not in commands.select_texts["no bound"]
+
+
+def test_other_starts_are_offered_where_they_may_find_better(commands):
+    """Here they do; where all candidates are taken, there is nothing to find."""
+    offer, texts = (
+        "No bound is known for O2, and one start was tried: --starts 5 may find better",
+        commands.select_texts,
+    )
+    assert offer in texts["no bound"]
+    one, five = (commands.selections[name][1].after["O2"] for name in ("no bound", "starts"))
+    assert five > one
+    for name in ("starts", "all", "nine"):
+        assert "No bound" not in texts[name]
+
+
+def test_targets_keep_the_distance_that_is_said(commands):
+    _, selection = commands.selections["apart"]
+    points = commands.few_free[0].positions(selection.joints)[:, 0]
+    nearest = min(np.linalg.norm(a - b) for a, b in combinations(points, 2))
+    (said,) = numbers_of(r"at least ([\d.]+) mm apart", commands.select_texts["apart"])
+    assert nearest >= 1e-3 * said * (1 - 5e-3)
+    assert "mm apart" not in commands.select_texts["nine"]
+
+
+def test_what_candidates_leave_undetermined_is_said(commands):
+    texts, robot, few = commands.select_texts, commands.robot, commands.few_free[0]
+    still = joints(20, 3) * [1, 0, 0] + [0, 0.3, 0.2]
+    rank = np.linalg.matrix_rank(derivative(few, still, [p.name for p in few.parameters]), rtol=1e-7)
+    assert f"Warning: all candidates together determine {rank} of 9 free parameters" in texts["still"]
+    by = derivative(robot, np.vstack([joints(9, 1), joints(4, 5)]), [p.name for p in robot.parameters])
+    rank = np.linalg.matrix_rank(by / np.linalg.norm(by, axis=0), rtol=1e-7)
+    assert f"All candidates and measured poses together determine {rank} combinations of the 30" in texts["measured"]
+    assert "All candidates together determine 13 combinations of the 30 free parameters" in texts["priors"]
+    assert "together determine" not in texts["nine"]
+
+
+def test_assumed_noise_and_measured_candidates_are_said_where_there_are_any(commands):
+    assert "Unstated noise is assumed" in commands.select_texts["again"]
+    assert "2 candidates already measured and left out" in commands.select_texts["again"]
+    assert not re.search("is assumed|left out", commands.select_texts["measured"])
+
+
+# compare
+
+
+@pytest.mark.quick(0)
+def test_what_differs_is_what_was_changed(commands):
+    texts = commands.compare_texts
+    assert "first and longer: 1 parameter of the robot differs, flange.z (all" in texts["first and longer"]
+    assert "first and elsewhere: no parameter of the robot differs" in texts["first and elsewhere"]
+    assert "; put elsewhere: base.x, base.rz." in texts["first and elsewhere"]
+    assert "first and again: no parameter of the robot differs" in texts["first and again"]
+    assert "put elsewhere" not in texts["first and again"]
+    assert "placed and moved: put elsewhere: base.x." in texts["placed and moved"]
+    assert "placed and there: nothing was put elsewhere." in texts["placed and there"]
+
+
+def test_parameters_together_differ_by_the_chance_that_is_said(commands):
+    """Hotelling's T^2 of the three of the robot, which have no priors."""
+    fits, _ = commands.results
+    one, other = fits["first"], fits["again"]
+    of_robot = [k for k, name in enumerate(one.covariance.names) if not name.startswith("base")]
+    names = [one.covariance.names[k] for k in of_robot]
+    change = [value(other.robot, name) - value(one.robot, name) for name in names]
+    both = (one.covariance.values + other.covariance.values)[np.ix_(of_robot, of_robot)]
+    square = np.dot(change, np.linalg.solve(both, change)) / len(names)
+    chance = scipy.stats.f.sf(square, len(names), min(fit.statistics.freedom for fit in (one, other)))
+    assert numbers_of(r"all together p ([\d.]+)\)", commands.compare_texts["first and again"]) == pytest.approx(
+        [chance], rel=0.03
+    )
+
+
+def test_a_robot_may_differ_without_a_parameter_that_is_proven_to(commands):
+    """Many parameters differ by a little each."""
+    assert "the robot differs, but no single parameter is proven to" in commands.compare_texts["arm and other"]
+    comparison = commands.comparisons["arm and other"]
+    assert (
+        comparison.joint_p_values[0] < 0.05 <= np.nanmin([difference.p_values for difference in comparison.differences])
+    )
+    assert "no single" not in commands.compare_texts["first and longer"]
+
+
+def test_of_more_results_fewer_pairs_differ_by_chance(commands):
+    """Each pair alone would err in one of twenty; Holm's step-down makes the p-values of three pairs larger."""
+    _, folder = commands.results
+    names = ("first", "again", "elsewhere")
+    together = calib.compare(*(folder / name for name in names)).joint_p_values
+    alone = [commands.comparisons[f"first and {name}"].joint_p_values[0] for name in names[1:]]
+    assert all(p > 0.999 * single for p, single in zip(together, alone, strict=True))
+    assert together[0] > 1.9 * alone[0]  # at most one pair has a smaller p, so it counts twice at least
+
+
+def test_notes_say_what_was_used_and_why_others_may_differ(commands):
+    texts = commands.compare_texts
+    assert "no tests, because both used the same 40 readings" in texts["same readings"]
+    assert "and 4 parameters without a test values" in texts["same readings"]
+    assert texts["same readings, page"] == ""
+    assert "tested as measurements with independent noise; no reading is in both" in texts["first and again"]
+    assert texts["first and again, page"].startswith("first and again: ")
+    assert "1 parameter free in only one (wrist.x)" in texts["first and held"]
+    assert "free in only one" not in texts["first and again"]
+    assert "on readings that it did not use" in texts["first and held"]
+    assert "on poses left out in turn" in texts["first and again"]
+    assert "left out in turn" not in texts["first and longer"]
+    for name, (one, other) in {"first and again": ("first", "again"), "placed and there": ("placed", "there")}.items():
+        grades = [commands.results[0][each].verdict.grade for each in (one, other)]
+        assert ("a verdict is CHECK" in texts[name]) == ("CHECK" in grades)
+
+
+# watch
+
+
+@pytest.mark.quick(0)
+def test_the_predicted_error_is_that_of_the_covariance(commands):
+    told, robot = commands.watched["twelve"], commands.few_free[0]
+    by = derivative(told.fit.robot, joints(30, 8), told.fit.covariance.names)
+    expected = 1e3 * np.sqrt(np.trace(by @ told.fit.covariance.values @ by.T) / 30)
+    said = r"predicted error ([\d.]+) mm RMS .* over (\d+) candidates"
+    assert numbers_of(said, commands.watch_texts["twelve"]) == pytest.approx([expected, 30], rel=5e-3)
+    assert "too few unseen poses yet (0)" in commands.watch_texts["twelve"]
+    assert "not yet a calibration: " in commands.watch_texts["three"]
+    assert int(np.sum(robot.is_free)) >= 3 * 3
+    assert "not yet a calibration" not in commands.watch_texts["twelve"]
+
+
+def test_it_stops_where_the_robot_is_that_good(commands):
+    """Positions of the calibrated robot are far nearer to the true ones than the goal."""
+    told, truth = commands.watched["met"], commands.few_free[1]
+    assert "goal 0.2 mm: STOP: it is met" in commands.watch_texts["met"]
+    assert h.rms(told.fit.robot.positions(joints(30, 8)) - truth.positions(joints(30, 8))) < 2e-4
+    assert "STOP" not in commands.watch_texts["close"]
+
+
+def test_more_poses_do_not_help_where_the_model_or_the_noise_is_what_is_left(commands):
+    """A wave of the slide that no parameter has; and readings that scatter by 0.35 mm, with a goal of 0.25 mm."""
+    for name in ("bent", "noisy"):
+        text, told = commands.watch_texts[name], commands.watched[name]
+        assert "not reached, and more poses will not help: the predicted error meets the goal, unseen errors do" in text
+        assert told.predicted.high95 < told.goal < told.unseen.low95
+        assert "next: pose" not in text
+    assert commands.watched["noisy"].fit.sigma * np.sqrt(3) > commands.watched["noisy"].goal
+    assert "will not help" not in commands.watch_texts["close"]
+
+
+def test_a_goal_below_the_scatter_of_the_readings_is_told(commands):
+    said = r"not yet; readings that scatter by ([\d.]+) mm RMS about the model can never show that the goal is met"
+    told = commands.watched["twelve"]
+    left = told.fit.robot.positions(joints(60, 9)[:12]) - measured(commands.few_free[1], joints(60, 9), 9)[:12].points()
+    scatter = 1e3 * np.sqrt(3 * np.sum(left**2) / (36 - 9))
+    assert numbers_of(said, commands.watch_texts["twelve"]) == pytest.approx([scatter], rel=5e-3)
+    assert scatter > 1e3 * told.goal
+    for name in ("close", "nothing", "wire"):
+        assert "can never show" not in commands.watch_texts[name]
+
+
+def test_the_next_pose_is_offered_while_there_is_one(commands):
+    texts, told = commands.watch_texts, commands.watched
+    assert "which determines more of what is unknown" in texts["nothing"]
+    assert "every candidate that can be reached is measured; give others" in texts["all measured"]
+    assert "every candidate" not in texts["twelve"]
+    pose, robot = told["twelve"].next_pose, told["twelve"].fit.robot
+    names = told["twelve"].fit.covariance.names
+    spread = [
+        uncertainty(robot, names, q, joints(30, 8), h.SIGMA)
+        for q in (joints(60, 9)[:12], np.vstack([joints(60, 9)[:12], joints(30, 8)[pose.candidate]]))
+    ]
+    before, after = (np.sqrt(np.trace(matrix)) for matrix in spread)
+    (said,) = numbers_of(r"which lowers the predicted error by ([\d.]+) %", texts["twelve"])
+    assert said == pytest.approx(100 * (1 - after / before), rel=0.03)
+    assert "as far as readings show positions" in texts["wire"]
+    assert "as far as" not in texts["met"]
+
+
+@pytest.mark.quick(0)
+def test_candidates_that_cannot_be_reached_are_not_counted(commands):
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    turned = np.stack(np.meshgrid(*2 * [np.radians(np.arange(0, 360, 30.0))]), axis=-1).reshape(-1, 2)
+    reached = int(np.sum(robot.close(turned).ok))
+    assert reached < len(turned)
+    told = calib.Watch(robot, "0.1 mm", candidates=as_poses(robot, turned))
+    data = calib.simulate(robot, robot.sample(20, seed=1), seed=2)
+    (said,) = numbers_of(r"over (\d+) candidates", told.update(data).report())
+    assert said == pytest.approx(reached, abs=2)  # the fit's robot reaches a little more or less

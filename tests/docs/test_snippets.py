@@ -26,15 +26,29 @@ def test_the_snippets_of_a_page_run_and_print_what_it_says(page, request):
     run_page(page)
 
 
-def test_the_python_of_the_readme_runs(tmp_path, monkeypatch):
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def reader(tmp_path, monkeypatch):
+    """Where someone stands who reads README."""
     monkeypatch.chdir(tmp_path)
     for name in ("urdf", "docs"):
         (tmp_path / name).symlink_to(ROOT / name)
+
+
+def test_the_python_of_the_readme_runs(reader):
     names = {}
-    for block in blocks((ROOT / "README.md").read_text(encoding="utf-8")):
+    for block in blocks(README):
         if block.language == "python":
             exec(compile(block.text, "README.md", "exec"), names)
     assert names
+
+
+def test_the_readme_shows_what_its_command_prints_first(reader, run_calib):
+    (command,) = re.findall(r"^calib (fit docs/examples/arm\..*)$", README, re.MULTILINE)
+    (shown,) = (block.text for block in blocks(README) if block.text.startswith("Calibration of example_arm"))
+    compare(f"{shown}...\n", run_calib(*command.split()).out)
 
 
 def test_pages_that_are_left_to_other_tests_are_named_there():

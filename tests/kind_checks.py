@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
@@ -92,6 +93,12 @@ def brought(robot, q, points):
         if np.max(np.abs(miss)) < 1e-12:
             break
     return q, np.max(np.abs(miss), axis=1) < 1e-10
+
+
+def assert_found(robot, truth, within):
+    """A robot has these values by name."""
+    values = dict(zip((p.name for p in robot.parameters), robot.values, strict=True))
+    assert {name: values[name] for name in truth} == pytest.approx(truth, rel=0, abs=within)
 
 
 def coverage(n, true, fitted):

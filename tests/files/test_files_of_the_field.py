@@ -13,7 +13,7 @@ import scipy
 import calib
 from calib.core.data.other_formats import SomeFile, other_formats
 from calib.core.data.tables import read_table
-from tests.project import EXAMPLES, ROOT
+from tests.project import EXAMPLES, ROOT, copied
 from tests.small_robots import ARM_YAML, write_arm
 
 JOINTS = np.array([[0.1, 0.02, -0.3], [0.4, -0.05, 0.2], [-0.7, 0.08, 0.5]])
@@ -419,8 +419,7 @@ def test_the_page_has_the_table_of_formats(monkeypatch):
 @pytest.mark.quick(0)
 @pytest.mark.parametrize("unit", ["deg", pytest.param(None, marks=pytest.mark.amount(0, 1))])
 def test_the_line_that_a_wrong_sign_prints_corrects_it(tmp_path, run_calib, unit):
-    examples = EXAMPLES
-    lines = (examples / "arm_simulated.csv").read_text().splitlines()
+    lines = (EXAMPLES / "arm_simulated.csv").read_text().splitlines()
     header = next(k for k, line in enumerate(lines) if not line.startswith("#"))
     rows = [line.split(",") for line in lines[header + 1 :]]
     names = lines[header].split(",")
@@ -431,8 +430,7 @@ def test_the_line_that_a_wrong_sign_prints_corrects_it(tmp_path, run_calib, unit
             row[j : j + 1] = [repr(float(np.radians(float(row[j]))))]
     names[j] = "joint_2 [deg]" if unit else "joint_2"
     (tmp_path / "w.csv").write_text("\n".join(",".join(row) for row in [names, *rows]))
-    text = (examples / "arm.yaml").read_text().replace("urdf: ", f"urdf: {examples}/", 1)
-    (tmp_path / "arm.yaml").write_text(text)
+    text = copied(tmp_path, EXAMPLES / "arm.yaml").read_text()
     told = run_calib("fit", "arm.yaml", "w.csv", "--out", "o", "--no-pages", cwd=tmp_path)
     line = re.search(r"columns:\s+\{[^}]*\}", told.out)[0]
     assert re.sub(r"\s+", " ", line).endswith('joint_3: "-joint_3 [deg]"}')

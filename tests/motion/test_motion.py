@@ -255,8 +255,7 @@ def test_a_third_joint_that_is_counted_from_the_second_link_is_written_as_fanuc_
 
 def test_fanuc_programs_ask_what_the_third_joint_is(tmp_path, run_calib):
     run = run_calib("route", "robot.yaml", "poses.csv", "--format", "fanuc", "--out", tmp_path / "route")
-    assert run.code == 2
-    assert "--third-joint" in run.err
+    assert "--third-joint" in run.refusal()
 
 
 def test_a_trajectory_of_ros_is_at_rest_at_every_stop(route):
@@ -347,8 +346,7 @@ def test_no_free_candidate_and_a_missing_mesh_are_said(tmp_path, run_calib):
     yaml = _write(tmp_path, _obstacles())
     (tmp_path / "p.csv").write_text("pose,j1,j2,j3,j4,j5,j6\na,0,2.5,0,0,0,0\nb,0.1,2.5,0,0,0,0\n")
     run = run_calib("select", yaml, tmp_path / "p.csv", "-n", 1, "--out", tmp_path / "c.csv")
-    assert run.code == 2
-    assert "none of the candidates is free: 2 of 2 poses not free" in run.err
+    assert "none of the candidates is free: 2 of 2 poses not free" in run.refusal()
     (tmp_path / "f.csv").write_text((tmp_path / "p.csv").read_text() + "c,0.1,0,0,0,0,0\n")
     run = run_calib("select", yaml, tmp_path / "f.csv", "-n", 2, "--out", tmp_path / "c.csv")
     assert (run.code, run.err.count("\n")) == (2, 1)

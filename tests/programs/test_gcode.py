@@ -174,27 +174,6 @@ def test_a_gantry_with_the_error_of_a_screw_goes_straight(tmp_path):
     )
 
 
-def test_e_is_shared_and_all_else_stays(tmp_path):
-    (tmp_path / "part.gcode").write_text(PROGRAM)
-    program = read_gcode(tmp_path / "part.gcode", (0.0, 0.0, 0.0))
-    ways = []
-    for move in program.moves:
-        start, end = np.array(move.start), np.array(move.end)
-        ways.append(start + (end - start) * np.arange(1, 5)[:, None] / 4)
-    lines = program.rewritten(ways, ("first",)).splitlines()
-    assert lines[0] == "; first"
-    kept = [line for line in PROGRAM.splitlines() if not re.search(r"[XYZ]", line)]
-    assert [line for line in lines[1:] if not re.search(r"[XYZ]", line)] == kept
-    assert "G1 X-22.5 Y-15 Z16.25 (over the corner)" in lines
-    shares = [float(line.split("E")[1]) for line in lines if re.match(r"X.* E", line)]
-    assert shares == [1.0625] * 4  # counted from where it stands
-    shares = [float(line.split("E")[1]) for line in lines if re.match(r"G1 X0 Y-30 Z0.75 E", line)]
-    assert shares == [2.375, 4.75, 7.125, 9.5]  # counted from G92 E0
-    assert [line for line in lines if line.startswith("G0")] == ["G0 X-0.875 Y0 Z0"] * 4
-    assert sum("; back" in line for line in lines) == 1
-    assert sum("F9000" in line for line in lines) == 1
-
-
 def test_a_program_that_is_told_its_own_points_keeps_them(tmp_path):
     """Counted from where the machine stands, decimals do not add up."""
     text = "G91\n" + "G1 X0.3333333 Y0.1234567\n" * 900

@@ -34,7 +34,7 @@ from calib.quality.uncertainty_budget import (
     ErrorPropagation,
     budget,
 )
-from tests.project import EXAMPLES
+from tests.project import EXAMPLES, copied
 
 STATED = {
     "date": "2026-11-28",
@@ -52,6 +52,9 @@ def contributions(known):
     return {row.quantity: row.contribution for row in known.rows}
 
 
+KNOWN = ("pose: unknown", "pose: known")
+
+
 @pytest.fixture(scope="module")
 def loose_arm():
     """The example arm, whose base is unknown."""
@@ -61,10 +64,7 @@ def loose_arm():
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
     """The same with a known base."""
-    text = (EXAMPLES / "arm.yaml").read_text().replace("pose: unknown", "pose: known")
-    path = tmp_path_factory.mktemp("arm") / "arm.yaml"
-    path.write_text(text.replace("urdf: arm.urdf", f"urdf: {EXAMPLES / 'arm.urdf'}"))
-    return calib.load(path)
+    return calib.load(copied(tmp_path_factory.mktemp("arm"), EXAMPLES / "arm.yaml", KNOWN))
 
 
 @pytest.fixture(scope="module")
@@ -384,10 +384,7 @@ def test_what_a_camera_or_an_inclinometer_is_off_reaches_the_tool_as_a_fit_of_su
     tmp_path, instruments, quantity, stated, changes
 ):
     lines = "".join(f"  {name}: {text}\n" for name, text in instruments.items())
-    text = (EXAMPLES / "arm.yaml").read_text().replace("pose: unknown", "pose: known")
-    text = text.replace("urdf: arm.urdf", f"urdf: {EXAMPLES / 'arm.urdf'}") + f"instruments:\n{lines}"
-    (tmp_path / "arm.yaml").write_text(text)
-    robot = calib.load(tmp_path / "arm.yaml")
+    robot = calib.load(copied(tmp_path, EXAMPLES / "arm.yaml", KNOWN, more=f"instruments:\n{lines}"))
     data = calib.simulate(robot, robot.sample(60, seed=1), seed=1)
     fit, first = calib.fit(robot, data), next(iter(instruments))
     squares = 0.0

@@ -165,8 +165,7 @@ def test_two_outputs_do_not_share_a_place(here, run_calib):
     assert run.code == 2
     assert contents(here) == before
     run = run_calib("select", "arm.yaml", "d.csv", "--count", 20, "--out", "a.csv", "--json", "./a.csv", cwd=here)
-    assert run.code == 2
-    assert "is to be written twice" in run.err
+    assert "is to be written twice" in run.refusal()
     assert contents(here) == before
 
 

@@ -32,10 +32,99 @@ def data(arm):
     return noisy(real, joints(60), SIGMA, 1)
 
 
-def joint_changed(data, change):
-    q = data.joints.copy()
-    change(q)
-    return replace(data, joints=q)
+def joints_as(change):
+    """A mistake in the columns of the joints."""
+    return lambda arm, data: replace(data, joints=change(data.joints.copy()))
+
+
+def points_as(change):
+    """A mistake in the measured positions."""
+    return lambda arm, data: with_points(arm, data, change(data.points(arm)))
+
+
+def turned(*which):
+    """Joint values with the signs of these joints turned."""
+    return lambda q: q * np.where(np.isin(np.arange(q.shape[1]), which), -1, 1)
+
+
+def shifted(rows):
+    """Joint values so many rows below their measurements."""
+
+    def change(_, data):
+        n = np.arange(len(data) - abs(rows))
+        beside, measured = (n, n + rows) if rows > 0 else (n - rows, n)
+        return replace(data.subset(measured), joints=data.joints[beside], order=None)
+
+    return change
+
+
+def mapped(low, high):
+    """Columns [deg] that hold parts of the range from -3 to 3 rad."""
+    return joints_as(lambda q: np.radians(low + (q + 3.0) / 6.0 * (high - low)))
+
+
+def scaled(by):
+    return points_as(lambda p: by * p)
+
+
+RIGHT_ZERO = "joint {} counted from another zero ({} would be right)"
+MISTAKES = {
+    "a sign": (joints_as(turned(2)), "joint j3 has the wrong sign"),
+    "swapped columns": (joints_as(lambda q: q[:, [0, 2, 1, 3, 4, 5]]), "columns of joints j2 and j3 were swapped"),
+    "three columns": (
+        joints_as(lambda q: q[:, [0, 2, 3, 1, 4, 5]]),
+        "the columns of joints j2, j3, j4 were in another order (j2 in that of j4, j3 in that of j2, j4 in that of j3)",
+    ),
+    "four columns": (
+        joints_as(lambda q: q[:, [1, 0, 2, 3, 5, 4]]),
+        "joints j1, j2, j5, j6 were in another order (j1 in that of j2, j2 in that of j1, j5 in",
+    ),
+    "two signs": (joints_as(turned(1, 4)), "joints j2, j5 have the wrong sign. Corrected"),
+    "three signs": (joints_as(turned(0, 1, 4)), "joints j1, j2, j5 have the wrong sign. Corrected"),
+    "four signs": (joints_as(turned(0, 1, 3, 5)), "joints j1, j2, j4, j6 have the wrong sign. Corrected"),
+    "a zero": (joints_as(lambda q: q - np.eye(6)[2] * np.pi / 2), RIGHT_ZERO.format("j3", "j3 +90 deg")),
+    "another zero": (joints_as(lambda q: q + np.eye(6)[4] * np.pi / 2), RIGHT_ZERO.format("j5", "j5 -90 deg")),
+    "two zeros": (
+        joints_as(lambda q: q + (np.eye(6)[2] + np.eye(6)[4]) * np.pi),
+        f"{RIGHT_ZERO.format('j3', 'j3 +180 deg')} and {RIGHT_ZERO.format('j5', 'j5 +180 deg')}",
+    ),
+    "sign and zero": (
+        joints_as(lambda q: turned(2)(q) + np.eye(6)[2] * np.pi / 2),
+        RIGHT_ZERO.format("j3", "90 deg - j3"),
+    ),
+    "the row before": (shifted(1), "all joint values are one row below their measurements"),
+    "the row behind": (shifted(-1), "all joint values are one row above their measurements"),
+    "counts": (mapped(0, 4095), "mapped from the joints' limits to the range 0 to 4095"),
+    "degrees": (joints_as(np.degrees), "degrees read as radians"),
+    "radians": (joints_as(np.radians), "radians read as degrees"),
+    "mm": (scaled(1e3), "mm were read as m"),
+    "half an inch": (scaled(1 / 2.54), "tenths of an inch were read as mm"),
+    "no unit": (scaled(0.2), " times as long as the robot's, which no usual unit explains"),
+    "a left hand": (points_as(lambda p: p * [1, -1, 1]), "y of the measured positions had the wrong sign"),
+    # beyond those of `make test`
+    **{f"sign of j{j + 1}": (joints_as(turned(j)), f"joint j{j + 1} has the wrong sign") for j in (0, 1, 3, 4, 5)},
+    "percent": (mapped(-100, 100), "mapped from the joints' limits to the range -100 to 100"),
+    "parts": (mapped(0, 1), "mapped from the joints' limits to the range 0 to 1"),
+    "m": (scaled(1e-3), "m were read as mm"),
+    "inches as mm": (scaled(1 / 25.4), "inches were read as mm"),
+    "inches as m": (scaled(1 / 0.0254), "inches were read as m"),
+    "feet": (scaled(1 / 304.8), "feet were read as mm"),
+    "cm": (scaled(0.1), "cm were read as mm"),
+    "swapped positions": (points_as(lambda p: p[..., [2, 1, 0]]), "x and z of the measured positions were swapped"),
+    "turned positions": (
+        points_as(lambda p: p[..., [1, 2, 0]] * [1, 1, -1]),
+        "(x in the column of z, y in the column of x, z in the column of y)",
+    ),
+}
+
+
+@pytest.mark.quick(20)
+@pytest.mark.parametrize("what", MISTAKES)
+def test_a_mistake_is_named(arm, data, what):
+    mistake, words = MISTAKES[what]
+    said = likely_mistake(arm, mistake(arm, data))
+    assert said.startswith("probable mistake: ")
+    assert words in said
 
 
 def test_good_measurements_show_no_mistake(arm, data):
@@ -46,75 +135,11 @@ def test_measurements_of_other_poses_show_no_mistake(arm, data):
     assert likely_mistake(arm, replace(data, joints=data.joints[::-1])) == ""
 
 
-@pytest.mark.quick(0)
-@pytest.mark.amount(1, 6)
-def test_a_joint_that_counts_the_other_way_is_named(arm, data, amount):
-    for j in (2, 0, 5, 1, 3, 4)[:amount]:
-        wrong = joint_changed(data, lambda q, j=j: q.__setitem__((slice(None), j), -q[:, j]))
-        assert likely_mistake(arm, wrong).startswith(f"probable mistake: joint j{j + 1} has the wrong sign")
-
-
-@pytest.mark.quick(0)
-def test_swapped_columns_are_named(arm, data):
-    wrong = replace(data, joints=data.joints[:, [0, 2, 1, 3, 4, 5]])
-    assert "columns of joints j2 and j3 were swapped" in likely_mistake(arm, wrong)
-
-
-@pytest.mark.parametrize(
-    ("order", "where"),
-    [
-        ([0, 2, 3, 1, 4, 5], "j2, j3, j4 were in another order (j2 in that of j4, j3 in that of j2, j4 in that of j3)"),
-        ([1, 0, 2, 3, 5, 4], "j1, j2, j5, j6 were in another order (j1 in that of j2, j2 in that of j1, j5 in"),
-    ],
-)
-def test_columns_in_another_order_are_named_with_where_each_stands(arm, data, order, where):
-    assert f"the columns of joints {where}" in likely_mistake(arm, replace(data, joints=data.joints[:, order]))
-
-
-@pytest.mark.parametrize("turned", [(1, 4), (0, 1, 4), (0, 1, 3, 5)])
-def test_several_signs_are_named_together(arm, data, turned):
-    wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), turned), -q[:, turned]))
-    names = ", ".join(f"j{j + 1}" for j in turned)
-    assert likely_mistake(arm, wrong).startswith(f"probable mistake: joints {names} have the wrong sign. Corrected")
-
-
-@pytest.mark.parametrize(
-    ("offsets", "words"),
-    [
-        ({2: -90}, "joint j3 counted from another zero (j3 +90 deg would be right)"),
-        ({4: 90}, "joint j5 counted from another zero (j5 -90 deg would be right)"),
-        (
-            {2: 180, 4: 180},
-            "joint j3 counted from another zero (j3 +180 deg would be right) and joint j5 counted from another zero"
-            " (j5 +180 deg would be right)",
-        ),
-    ],
-)
-def test_zeros_that_are_quarter_turns_off_are_named(arm, data, offsets, words):
-    shift = np.radians([offsets.get(j, 0) for j in range(6)])
-    assert likely_mistake(arm, replace(data, joints=data.joints + shift)).startswith(f"probable mistake: {words}")
-
-
-def test_a_turned_joint_with_another_zero_is_named_by_what_would_be_right(arm, data):
-    wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), 2), np.pi / 2 - q[:, 2]))
-    assert "joint j3 counted from another zero (90 deg - j3 would be right)" in likely_mistake(arm, wrong)
-
-
-def test_joint_values_beside_the_wrong_row_are_named(arm, data):
-    above = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])  # beside the next measurement
-    assert "all joint values are one row below their measurements" in likely_mistake(arm, above)
-    below = replace(data.subset(np.arange(len(data) - 1)), joints=data.joints[1:])
-    assert "all joint values are one row above their measurements" in likely_mistake(arm, below)
-
-
 @pytest.mark.amount(1, 4)
 def test_a_shift_is_named_where_rows_are_held_out(arm, data, amount):
     """The file is shifted, and then split: rows that were neighbours in it need not be so any more."""
     for rows in (3, -5, -2, 4)[:amount]:
-        n = np.arange(len(data) - abs(rows))
-        joints_, measured = (n, n + rows) if rows > 0 else (n - rows, n)
-        shifted = replace(data.subset(measured), joints=data.joints[joints_], order=None)
-        used, _ = shifted.split(validation=0.25)
+        used, _ = shifted(rows)(arm, data).split(validation=0.25)
         side = "below" if rows > 0 else "above"
         assert f"all joint values are {abs(rows)} rows {side} their measurements" in likely_mistake(arm, used)
 
@@ -144,7 +169,7 @@ def test_no_scale_is_named_where_a_fit_with_scales_fits_nothing_either(arm, data
 @pytest.mark.quick(0)
 def test_two_joints_that_are_a_little_scaled_get_no_pass(arm, data):
     """Three percent of two wrist joints: the nominal robot is off by less than half as much."""
-    wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), [3, 4]), 1.03 * q[:, [3, 4]]))
+    wrong = replace(data, joints=data.joints * [1, 1, 1, 1.03, 1.03, 1])
     verdict = calib.fit(arm, wrong).verdict
     assert verdict.grade != "PASS"
     assert "joint j4 was scaled by 1.03 " in verdict.reasons[0].text
@@ -152,15 +177,6 @@ def test_two_joints_that_are_a_little_scaled_get_no_pass(arm, data):
     with_gains = calib.fit(arm, wrong, terms="auto").verdict
     assert with_gains.grade != "PASS"
     assert "joint j4 0.9709 times as far, joint j5 0.9709 times as far" in str(with_gains)
-
-
-@pytest.mark.amount(1, 3)
-def test_values_mapped_to_a_range_are_named(arm, data, amount):
-    """Columns [deg] hold parts of the range from -3 to 3 rad."""
-    for low, high in ((0, 4095), (-100, 100), (0, 1))[:amount]:
-        mapped = low + (data.joints + 3.0) / 6.0 * (high - low)
-        said = likely_mistake(arm, replace(data, joints=np.radians(mapped)))
-        assert f"mapped from the joints' limits to the range {low} to {high}" in said
 
 
 def with_zeros(arm, data, rows):
@@ -173,7 +189,7 @@ def test_readings_of_zero_are_named_alone_and_beside_another_mistake(arm, data):
     wrong = with_zeros(arm, data, [7, 30])
     zeros = "probable mistake: 2 readings of exactly 0, 0, 0 (row 7, row 30) were empty"
     assert likely_mistake(arm, wrong).startswith(f"{zeros}. Corrected")
-    wrong = joint_changed(wrong, lambda q: q.__setitem__((slice(None), 2), -q[:, 2]))
+    wrong = replace(wrong, joints=turned(2)(wrong.joints))
     assert likely_mistake(arm, wrong).startswith(f"{zeros}, and joint j3 has the wrong sign. Corrected")
 
 
@@ -210,16 +226,14 @@ def test_a_five_bar_with_a_motor_half_a_turn_off_is_told(five_bar):
 @pytest.mark.quick(0)
 def test_a_five_bar_with_a_shifted_table_is_told(five_bar):
     robot, data = five_bar
-    data = data.subset(np.arange(20))
-    shifted = replace(data.subset(np.arange(1, 20)), joints=data.joints[:-1])
-    assert "all joint values are one row below their measurements" in likely_mistake(robot, shifted)
+    wrong = shifted(1)(robot, data.subset(np.arange(20)))
+    assert "all joint values are one row below their measurements" in likely_mistake(robot, wrong)
 
 
 @pytest.fixture(scope="module")
 def five_bar():
-    folder = EXAMPLES
-    robot = calib.load(folder / "five_bar.yaml")
-    return robot, calib.read_measurements(folder / "five_bar_simulated.csv", robot)
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    return robot, calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", robot)
 
 
 @pytest.fixture(scope="module")
@@ -247,54 +261,13 @@ def test_mistakes_in_the_data_of_a_real_arm_are_named(motoman):
     data = data.subset(np.arange(50))
     signs = np.array([1, -1, -1, -1, 1, 1, 1])
     assert "joints S, L, U have the wrong sign" in likely_mistake(robot, replace(data, joints=signs * data.joints))
-    shifted = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])
-    assert "all joint values are one row below their measurements" in likely_mistake(robot, shifted)
-
-
-@pytest.mark.parametrize(
-    ("factor", "words"),
-    [(np.degrees(1), "degrees read as radians"), (np.radians(1), "radians read as degrees")],
-)
-def test_angles_in_the_wrong_unit_are_named(arm, data, factor, words):
-    assert words in likely_mistake(arm, replace(data, joints=factor * data.joints))
-
-
-@pytest.mark.amount(3, 8)
-def test_positions_in_the_wrong_unit_are_named(arm, data, amount):
-    units = {
-        1e3: "mm were read as m",
-        1 / 2.54: "tenths of an inch were read as mm",
-        0.2: " times as long as the robot's, which no usual unit explains",
-        1e-3: "m were read as mm",
-        1 / 25.4: "inches were read as mm",
-        1 / 0.0254: "inches were read as m",
-        1 / 304.8: "feet were read as mm",
-        0.1: "cm were read as mm",
-    }
-    for factor, words in list(units.items())[:amount]:
-        assert words in likely_mistake(arm, with_points(arm, data, factor * data.points(arm)))
-
-
-@pytest.mark.quick(1)
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda p: p * [1, -1, 1], "y of the measured positions had the wrong sign"),
-        (lambda p: p[..., [2, 1, 0]], "x and z of the measured positions were swapped"),
-        (
-            lambda p: p[..., [1, 2, 0]] * [1, 1, -1],
-            "(x in the column of z, y in the column of x, z in the column of y)",
-        ),
-    ],
-)
-def test_a_left_handed_measurement_frame_is_named(arm, data, change, words):
-    assert words in likely_mistake(arm, with_points(arm, data, change(data.points(arm))))
+    assert "all joint values are one row below their measurements" in likely_mistake(robot, shifted(1)(robot, data))
 
 
 @pytest.mark.quick(0)
 @pytest.mark.parametrize("arm", ["unknown"], indirect=True)
 def test_a_left_handed_frame_somewhere_is_named(arm, data):
-    mistake = likely_mistake(arm, with_points(arm, data, data.points(arm) * [1, -1, 1]))
+    mistake = likely_mistake(arm, MISTAKES["a left hand"][0](arm, data))
     assert "left-handed" in mistake or "y of the measured positions had the wrong sign" in mistake
 
 

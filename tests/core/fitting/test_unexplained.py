@@ -21,7 +21,7 @@ from calib.core.numerics.mixed_rows import FLAT, MixedRows
 from calib.core.numerics.size_search import scatter_given_noise
 from calib.core.results.result_reading import load_result
 from tests.core.fitting.test_term_choice import entries
-from tests.project import EXAMPLES
+from tests.project import EXAMPLES, copied
 
 NOISE, SIZE = 3e-5, 1e-4
 """Noise of positions [m], and root mean square error of each joint [rad]."""
@@ -162,9 +162,7 @@ def test_what_is_added_is_the_lever_of_each_joint():
 
 def silent(folder):
     """The example arm, whose noise is not stated."""
-    text = (EXAMPLES / "arm.yaml").read_text().replace("sigma: 0.03 mm\n", "")
-    (folder / "arm.yaml").write_text(text.replace("arm.urdf", str(EXAMPLES / "arm.urdf")))
-    return calib.load(folder / "arm.yaml")
+    return calib.load(copied(folder, EXAMPLES / "arm.yaml", ("sigma: 0.03 mm\n", "")))
 
 
 @pytest.fixture

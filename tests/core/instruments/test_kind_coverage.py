@@ -27,6 +27,7 @@ from tests.core.instruments.test_kind_joint_reading import SIGMA as ELBOW_SIGMA
 from tests.core.instruments.test_kind_joint_reading import ZERO, elbows, held, poses
 from tests.core.instruments.test_kind_pixel import BODY, INTRINSICS, POINTS, image
 from tests.kind_checks import brought, coverage
+from tests.project import copied
 from tests.six_axis_arm import _JOINTS, joints, write_six_axis
 
 TRUTH = {"j2.ry": 0.01, "j3.ry": -0.02, "j4.rx": 0.01, "j5.ry": 0.015, "j2.x": 0.052, "j3.z": 0.602, "j5.x": 0.397}
@@ -206,9 +207,7 @@ def touched(robot, true, n):
 def on_medrue(folder, kind, n):
     """Coverage of a kind on MedRUE, read by its equations in closed form."""
     words = IN_WORDS[kind].replace("FRAME", "world").replace("target: ball", "target: tool")
-    yaml = robot_file().read_text().replace("urdf: medrue.urdf", f"urdf: {robot_file().parent / 'medrue.urdf'}")
-    (folder / "medrue.yaml").write_text(yaml.replace("sigma: 0.04 mm", f"instruments:\n  {words}"))
-    robot = calib.load(folder / "medrue.yaml")
+    robot = calib.load(copied(folder, robot_file(), ("sigma: 0.04 mm", f"instruments:\n  {words}")))
     names, actual = table1().names, table1().actual
     changed = {name: value for name, value in zip(names, actual, strict=True) if name not in robot.description.held}
     truth, q = robot.with_parameters(changed), np.array(target_workspace().q)[::10]
@@ -292,6 +291,11 @@ def test_intervals_of_every_kind_hold_the_truth_on_an_arm(tmp_path, kind):
 @pytest.mark.parametrize("kind", ["distance", "pose"])
 def test_intervals_of_poses_and_distances_hold_the_truth_on_medrue(tmp_path, kind):
     assert_holds(on_medrue(tmp_path, kind, 25), 25)
+
+
+@pytest.mark.quick(0)
+def test_intervals_of_an_encoder_hold_the_truth_on_a_five_bar(tmp_path):
+    assert_holds(on_the_five_bar(tmp_path, 50), 50)
 
 
 @pytest.mark.quick(0)

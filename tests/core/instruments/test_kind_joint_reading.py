@@ -7,9 +7,8 @@ import pytest
 
 import calib
 from calib.core.rows.observed import observe, predict_readings
-from calib.core.rows.registration import register
-from tests.kind_checks import assert_covered, coverage
-from tests.project import EXAMPLES
+from tests.kind_checks import assert_found
+from tests.project import EXAMPLES, copied
 from tests.small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 from viz.reading_errors import reading_errors_of_fit as readings_of_fit
 
@@ -22,13 +21,9 @@ SIGMA = 1e-5
 
 def five_bar(folder, encoders=""):
     """The five-bar of the examples, whose left elbow has an encoder."""
-    yaml = (
-        (EXAMPLES / "five_bar.yaml").read_text().replace("urdf: five_bar.urdf", f"urdf: {EXAMPLES / 'five_bar.urdf'}")
-    )
-    yaml = yaml.replace("sigma: 0.02 mm", "").replace("priors: false", "").replace("pose: unknown", "pose: known")
-    yaml += "instruments:\n  elbow: {kind: joint_reading, joint: left_elbow, zero: unknown}\n" + encoders
-    (folder / "five_bar.yaml").write_text(yaml)
-    return calib.load(folder / "five_bar.yaml")
+    entry = f"instruments:\n  elbow: {{kind: joint_reading, joint: left_elbow, zero: unknown}}\n{encoders}"
+    edits = ("sigma: 0.02 mm", entry), ("priors: false", ""), ("pose: unknown", "pose: known")
+    return calib.load(copied(folder, EXAMPLES / "five_bar.yaml", *edits))
 
 
 def elbows(robot, q):
@@ -97,21 +92,6 @@ def test_a_follower_reads_what_its_leader_does(tmp_path):
     np.testing.assert_allclose(read["b"].values, -q, atol=1e-12)
 
 
-def measured(robot, q, sigma=0.0, seed=0):
-    """An encoder that counts no turns."""
-    noise = sigma * np.random.default_rng(seed).standard_normal(len(q))
-    read = elbows(robot.with_parameters(TRUTH), q)[:, 0] + ZERO + noise
-    return {"elbow": (np.mod(read, 2 * np.pi))[:, None]}
-
-
-def test_an_unknown_zero_is_placed_on_the_circle(tmp_path):
-    robot = five_bar(tmp_path)
-    q = poses(robot, 30, 3)
-    placed = register(robot, calib.as_measurements(robot, q, measured(robot, q)))
-    zero = placed.values[[p.name for p in placed.parameters].index("elbow.zero")]
-    assert abs(np.mod(zero - ZERO + np.pi, 2 * np.pi) - np.pi) < 0.1
-
-
 def held(folder):
     """The five-bar with what an encoder of its elbow determines free: no scale, no turn of all, one zero for two."""
     robot = five_bar(folder)
@@ -133,17 +113,7 @@ def fitted(robot, q, sigma, seed):
 def test_an_encoder_on_a_passive_joint_calibrates_a_loop(tmp_path):
     robot = held(tmp_path)
     fit = fitted(robot, poses(robot, 40, 4), 0.0, 0)
-    values = dict(zip([p.name for p in robot.parameters], fit.robot.values, strict=True))
-    for name, value in (FREE | {"elbow.zero": ZERO}).items():
-        assert abs(values[name] - value) < 1e-8, name
-
-
-@pytest.mark.quick(0)
-@pytest.mark.amount(0, 60)
-def test_95_percent_intervals_hold_the_truth(tmp_path, amount):
-    robot = held(tmp_path)
-    q = poses(robot, 40, 5)
-    assert_covered(coverage(amount, FREE | {"elbow.zero": ZERO}, lambda seed: fitted(robot, q, SIGMA, seed)), amount)
+    assert_found(fit.robot, FREE | {"elbow.zero": ZERO}, 1e-8)
 
 
 def test_a_file_with_an_encoder_is_fitted_and_reported_in_degrees(tmp_path, run_calib):
@@ -192,8 +162,7 @@ def test_descriptions_that_cannot_be(tmp_path, run_calib, line, said):
 def test_an_encoder_must_not_be_called_as_a_motor(tmp_path, run_calib):
     path = write_arm(tmp_path, ARM_YAML + "instruments: {turn: {kind: joint_reading, joint: turn}}\n")
     run = run_calib("check", path)
-    assert run.code == 2
-    assert "instruments.turn: its column 'turn' is that of a joint; rename the instrument" in run.err
+    assert "instruments.turn: its column 'turn' is that of a joint; rename the instrument" in run.refusal()
 
 
 def test_an_encoder_alone_of_an_arm_determines_nothing_and_says_so(tmp_path, run_calib):

@@ -8,7 +8,6 @@ from scipy.stats import binom
 import calib
 from calib.core.data.measurement_files import format_measurements, read_measurements
 from calib.core.instruments.pose import Pose, PoseSection
-from calib.core.instruments.rotations import inverse_left_jacobian
 from calib.core.rows.registration import register
 from tests.six_axis_arm import joints, write_six_axis
 
@@ -36,20 +35,6 @@ def arm(folder, yaml=YAML):
 def poses(n, seed):
     rng = np.random.default_rng(seed)
     return Rotation.from_rotvec(rng.normal(0, 1.2, (n, 3))), rng.uniform(-1, 1, (n, 3))
-
-
-def test_the_inverse_left_jacobian_is_the_derivative_of_the_logarithm():
-    rng = np.random.default_rng(1)
-    for size in (1e-9, 1e-3, 0.5, 2.5):
-        r = rng.normal(0, 1, 3)
-        r *= size / np.linalg.norm(r)
-        step = 1e-6
-        columns = []
-        for k in range(3):
-            w = step * np.eye(3)[k]
-            more, less = ((Rotation.from_rotvec(s * w) * Rotation.from_rotvec(r)).as_rotvec() for s in (1, -1))
-            columns.append((more - less) / (2 * step))
-        assert np.allclose(inverse_left_jacobian(r[None])[0], np.array(columns).T, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -189,7 +174,6 @@ def test_descriptions_that_cannot_be(tmp_path, key, message):
     ("form", "header", "row", "message"),
     [
         ("quaternion", "tracker_qx,tracker_qy,tracker_qz,tracker_qw", "0,0,0,2", "is not a quaternion of length 1"),
-        ("quaternion", "tracker_qx,tracker_qy,tracker_qz,tracker_qw", "0,0,0,0", "is not a quaternion of length 1"),
         ("quaternion", "tracker_qx,tracker_qy,tracker_qz", "0,0,0", "no column 'tracker_qw'"),
         ("quaternion", "tracker_qx,tracker_qy,tracker_qz,tracker_qw [deg]", "0,0,0,1", "is a pure number"),
         ("rpy", "tracker_roll [mm],tracker_pitch [mm],tracker_yaw [mm]", "1,2,3", "unit 'mm' is for a length"),
@@ -201,7 +185,6 @@ def test_descriptions_that_cannot_be(tmp_path, key, message):
             "no column 'tracker_roll'; did you mean 'tracker_rol'",
         ),
         ("matrix", ",".join(f"tracker_r{i}{j}" for i in "123" for j in "123"), "1,0,0,0,1,0,0,0,-1", "rotation matrix"),
-        ("matrix", ",".join(f"tracker_r{i}{j}" for i in "123" for j in "123"), "1,0,0,0,1,0,0,0,2", "rotation matrix"),
         ("rpy", "tracker_roll,tracker_pitch,tracker_yaw,tracker_std_x [mm]", "1,2,3,1", "no column 'tracker_std_y'"),
     ],
 )

@@ -12,7 +12,7 @@ from calib.core.rows.observed import predict_readings
 from calib.core.rows.registration import register
 from calib.planning.pose_sampling import sample
 from tests.core.instruments.test_kind_distance import FREE
-from tests.kind_checks import assert_covered, brought, coverage
+from tests.kind_checks import assert_covered, assert_found, brought, coverage
 from tests.public_data import from_sockets, masses_of, mukca, mukca_joints
 from tests.six_axis_arm import joints, write_six_axis
 
@@ -108,10 +108,7 @@ def test_the_truth_is_found_from_bad_first_guesses(tmp_path, case):
     robot = arm_with(tmp_path, EVERY[case])
     truth = robot.with_parameters(TRUTH | BALL)
     q, words = touches(truth, case, 80, seed=3)
-    result = calib.fit(robot, calib.as_measurements(robot, q, {"probe": words})).robot
-    values = dict(zip([p.name for p in result.parameters], result.values, strict=True))
-    for name, value in (TRUTH | BALL).items():
-        assert abs(values[name] - value) < 1e-6, name
+    assert_found(calib.fit(robot, calib.as_measurements(robot, q, {"probe": words})).robot, TRUTH | BALL, 1e-6)
 
 
 def test_sockets_and_ball_are_placed_before_anything_is_fitted(tmp_path):
@@ -240,10 +237,7 @@ def test_simulated_touches_are_written_at_contact_and_found_again(tmp_path, run_
     simulated = calib.read_measurements(tmp_path / "out.csv", robot)
     np.testing.assert_allclose(truth.positions(simulated.joints)[:, 0], points[ok], atol=1e-9)
     assert 0 < np.max(np.abs(simulated.joints - q[ok])) < 0.5
-    result = calib.fit(robot, simulated).robot
-    values = dict(zip([p.name for p in result.parameters], result.values, strict=True))
-    assert values["j5.x"] == pytest.approx(0.397, abs=1e-6)
-    assert values["j4.rx"] == pytest.approx(0.01, abs=1e-6)
+    assert_found(calib.fit(robot, simulated).robot, {"j5.x": 0.397, "j4.rx": 0.01}, 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -272,8 +266,7 @@ def test_descriptions_that_cannot_be(tmp_path, run_calib, instrument, said):
 
 def test_a_word_for_nothing_that_can_be_touched_is_named(fit_file):
     run = fit_file(in_csv=(",q\n", ",quu\n"))
-    assert run.code == 2
-    assert "column 'probe': 'probe' touches nothing called 'quu'" in run.err
+    assert "column 'probe': 'probe' touches nothing called 'quu'" in run.refusal()
 
 
 @pytest.mark.quick(0)
@@ -337,8 +330,7 @@ def test_poses_that_do_not_say_what_they_touch_tell_more_than_touches_can_and_ch
     assert run.code == 0
     assert "Give poses at contact, with a column 'probe'" in run.err
     refused = run_calib("simulate", tmp_path / "arm.yaml", data, "--sigma-mm", "0", "--out", tmp_path / "new.csv")
-    assert refused.code == 2
-    assert "no column says what instrument 'probe' touches" in refused.err
+    assert "no column says what instrument 'probe' touches" in refused.refusal()
 
 
 @pytest.mark.quick(1)

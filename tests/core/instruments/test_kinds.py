@@ -15,7 +15,7 @@ from medrue.workspace import target_workspace
 from tests.core.instruments.test_kind_pixel import INTRINSICS, POINTS
 from tests.core.instruments.test_kind_touch import EVERY as TOUCHED
 from tests.kind_checks import chain_error, kind_error
-from tests.project import EXAMPLES
+from tests.project import EXAMPLES, copied
 from tests.six_axis_arm import joints, write_six_axis
 
 LENS = "{fx: 20, fy: 20, cx: 20, cy: 20, k1: 0.1, k2: 0.1, p1: 0.01, p2: 0.01, k3: 0.1}"
@@ -64,22 +64,17 @@ def arm(folder):
 
 def five_bar(folder):
     targets, instruments = texts(WITH_LOOPS, "table", "left_tip", "left_elbow")
-    text = (EXAMPLES / "five_bar.yaml").read_text().replace("urdf: ", f"urdf: {EXAMPLES}/")
-    text = text.replace("sigma: 0.02 mm", "").replace("targets:\n", f"targets:\n{targets}")
-    (folder / "five_bar.yaml").write_text(text + "\n" + instruments)
-    robot = calib.load(folder / "five_bar.yaml")
+    edits = ("sigma: 0.02 mm", instruments), ("targets:\n", f"targets:\n{targets}")
+    robot = calib.load(copied(folder, EXAMPLES / "five_bar.yaml", *edits))
     return robot, robot.home + np.random.default_rng(5).uniform(-0.3, 0.3, (4, 2))
 
 
 def medrue(folder):
-    source = robot_file()
-    text = source.read_text().replace("urdf: ", f"urdf: {source.parent}/")
-    frame = calib.load(source).description.targets["tool"].frame
+    frame = calib.load(robot_file()).description.targets["tool"].frame
     targets, instruments = texts(("tracker", "wire", "encoder"), "world", frame, "B1")
     targets = re.sub(r", (position|orientation): unknown", "", targets)  # its parameters have the tool's place
-    text = text.replace("sigma: 0.04 mm", instruments).replace("targets:\n", f"targets:\n{targets}")
-    (folder / "medrue.yaml").write_text(text)
-    robot = calib.load(folder / "medrue.yaml")
+    edits = ("sigma: 0.04 mm", instruments), ("targets:\n", f"targets:\n{targets}")
+    robot = calib.load(copied(folder, robot_file(), *edits))
     actual = dict(zip(table1().names, table1().actual, strict=True))
     return robot.with_parameters(actual), np.array(target_workspace().q)[::210]
 

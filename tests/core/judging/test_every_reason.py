@@ -8,13 +8,8 @@ import pytest
 import calib
 from calib.core.judging.next_step import next_step
 from calib.core.judging.reasons import Code
-from tests.core.judging.situations import GRADES, SIGMA, SITUATIONS, Shop, rms
+from tests.core.judging.situations import GRADES, SIGMA, SITUATIONS, rms
 from tests.six_axis_arm import joints, measurements, noisy
-
-
-@pytest.fixture(scope="module")
-def shop(tmp_path_factory):
-    return Shop(tmp_path_factory.mktemp("shop"))
 
 
 def test_every_reason_has_a_situation_and_nothing_else_has():

@@ -13,13 +13,7 @@ from calib.core.fitting.pose_checks import tied_joints
 from calib.core.judging import rules_model
 from calib.core.judging.reasons import Code
 from calib.core.judging.verdict import judge
-from tests.core.judging.situations import Shop
 from tests.project import EXAMPLES, ROOT
-
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory):
-    return Shop(tmp_path_factory.mktemp("shop")).good
 
 
 def told(rule, fit):
@@ -42,13 +36,13 @@ def no_reasons(fit):
         (f"{__name__}:no_reasons", "yields something other than calib.core.judging.reasons.Reason"),
     ],
 )
-def test_a_rule_of_another_package_that_does_not_work_is_named(good, monkeypatch, value, said):
+def test_a_rule_of_another_package_that_does_not_work_is_named(shop, monkeypatch, value, said):
     other = EntryPoint("warmth", value, "calib.reasons")
     monkeypatch.setattr(
         "calib.core.judging.verdict.list_entry_points", lambda group: [other] if group == other.group else []
     )
     with pytest.raises(calib.InputError, match=re.escape(said)) as result:
-        judge(dataclasses.replace(good, seconds=0.0))
+        judge(dataclasses.replace(shop.good, seconds=0.0))
     assert str(result.value).startswith(f"reason 'warmth' of the verdict ({value}): ")
 
 

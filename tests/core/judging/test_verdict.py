@@ -14,22 +14,12 @@ from calib.core.judging import findings
 from calib.core.judging.better_or_worse import _margin_above_mean
 from calib.core.judging.blind_spots import unordered
 from calib.core.judging.next_step import next_step
+from calib.core.judging.reasons import Code
 from calib.core.judging.rounded_joint_values import joint_steps, rounding
 from calib.core.judging.row_derivatives import scales
 from calib.core.judging.rules_reach import _covariance_given
-from tests.core.judging.situations import SIGMA, Shop
+from tests.core.judging.situations import SIGMA
 from tests.six_axis_arm import FREE, YAML, joints, measurements, noisy, write_six_axis
-
-
-@pytest.fixture(scope="module")
-def shop(tmp_path_factory):
-    return Shop(tmp_path_factory.mktemp("shop"))
-
-
-@pytest.fixture
-def arm(shop):
-    """The arm without priors."""
-    return shop.arm
 
 
 @pytest.fixture
@@ -177,10 +167,9 @@ def test_where_validation_poses_lie_elsewhere_the_broken_claim_says_how_many(arm
 
 def test_too_few_poses_are_a_remark_only_where_poses_that_were_not_used_bear_the_claim_out(arm, truth):
     """48 coordinates are fewer than twice 26 parameters, and poses left out one by one are as few."""
-    data = noisy(truth, joints(16), SIGMA, 1)
+    data, other = noisy(truth, joints(16), SIGMA, 1), noisy(truth, joints(60, seed=5), SIGMA, 2)
     assert reason(calib.fit(arm, data), "too_few_poses").grade == "CHECK"
-    validated = calib.fit(arm, data, validation=noisy(truth, joints(60, seed=5), SIGMA, 2))
-    assert remark(validated, "too_few_poses").grade == "PASS"
+    remark(calib.fit(arm, data, validation=other), "too_few_poses")
 
 
 @pytest.mark.quick(0)
@@ -252,16 +241,15 @@ def test_a_pose_that_only_curves_follow_is_not_said_to_decide_itself(tmp_path):
     assert "leverage" not in fit.verdict.to_dict()["codes"]
 
 
-def test_poses_in_one_corner_are_told_and_the_claim_is_for_them(prior_arm):
-    q = joints(80)
-    near = q[:1] + 0.05 * (q - q[:1])  # 0.15 of 6 rad
-    fit = calib.fit(prior_arm, noisy(prior_arm, near, SIGMA, 1), sigma=SIGMA)
+def test_poses_in_one_corner_are_told_and_the_claim_is_for_them(shop, prior_arm):
+    fit = shop.situation(Code.ONE_CORNER).there
     remark(fit, "one_corner")
     assert (
         "95 % of the time, at poses like the 80 measured (each predicted from the others). Elsewhere errors may be"
         " larger; joints that moved through less than half of their range: j1 2 %, " in fit.verdict.claim.words
     )
-    near[:, 2] = q[:, 2]  # one joint that moves is no corner
+    near = fit.identification.data.joints.copy()
+    near[:, 2] = joints(80)[:, 2]  # one joint that moves is no corner
     again = calib.fit(prior_arm, noisy(prior_arm, near, SIGMA, 1), sigma=SIGMA)
     assert "one_corner" not in again.verdict.to_dict()["codes"]
 
@@ -353,12 +341,10 @@ def aligned(points, onto):
 
 
 @pytest.mark.quick(0)
-def test_joint_terms_that_the_poses_hardly_decide_are_told(prior_arm):
+def test_joint_terms_that_the_poses_hardly_decide_are_told(shop, prior_arm):
     """The sentence says what robots drawn from the fit's covariance scatter by, base and tool placed anew."""
-    rng = np.random.default_rng(3)
-    together = np.sin(rng.uniform(-1.0, 1.0, (60, 3)) @ rng.uniform(-1.0, 1.0, (3, 6)))
-    fit = calib.fit(prior_arm, noisy(prior_arm, together, SIGMA, 1), sigma=SIGMA, terms="gain")
-    verdict_remark = remark(fit, "terms_untested")
+    rng, fit = np.random.default_rng(3), shop.situation(Code.TERMS_UNTESTED).there
+    verdict_remark, together = remark(fit, "terms_untested"), fit.identification.data.joints
     q = np.stack([np.roll(together[:, j], 10 * j) for j in range(6)], axis=1)
     drawn = rng.multivariate_normal(np.zeros(len(fit.free_names)), fit.covariance.values, size=300)
     for poses, words in ((q, r"known to ([\d.]+) mm RMS there"), (together, r"and to ([\d.]+) mm at the poses used")):

@@ -450,8 +450,7 @@ def test_goals_in_a_setup_have_its_gravity(tmp_path, run_calib):
     assert np.abs(calib.solve(robot, calib.Goals(np.array(points)), near=q).q - q)[1::2].max() > 1e-4
     (tmp_path / "goals.csv").write_text("ball_x [m],ball_y [m],ball_z [m],setup\n0.6,0,0.4,wall\n0.6,0,0.4,ceiling\n")
     run = run_calib("solve", tmp_path / "arm.yaml", tmp_path / "goals.csv", "--out", tmp_path / "solved.csv")
-    assert run.code == 2
-    assert "line 3, column 'setup': no setup 'ceiling'" in run.err
+    assert "line 3, column 'setup': no setup 'ceiling'" in run.refusal()
 
 
 @pytest.mark.parametrize(
@@ -482,8 +481,7 @@ def test_a_sensor_behind_what_is_to_be_found_cannot_say_how_the_robot_stands(tmp
     goals = {f"ball_{axis} [m]": [value] for axis, value in zip("xyz", (1.2, 0.1, 1.0), strict=True)}
     file = written(tmp_path / "goals.csv", goals | reading(np.array([[0, 0, G]]), np.array([[0, 0, G]])))
     run = run_calib("solve", tmp_path / "mast.yaml", file, "--out", tmp_path / "solved.csv")
-    assert run.code == 2
-    assert "what 'high' reads depends on joint 'lift', which is to be found; give columns" in run.err
+    assert "what 'high' reads depends on joint 'lift', which is to be found; give columns" in run.refusal()
 
 
 def test_nobody_can_command_what_inclinometers_read(tmp_path):

@@ -12,7 +12,7 @@ from calib.core.robots.joint_errors import actual_joints, commands_for, term_col
 from calib.core.robots.terms.term import Context
 from calib.core.rows.observed import observe, predict_readings
 from tests.kind_checks import assert_terms_move_positions_as_differences_say
-from tests.project import EXAMPLES, ROOT, SHARED
+from tests.project import EXAMPLES, ROOT, SHARED, copied
 from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
 UR10 = SHARED / "ur10_tracker"
@@ -20,10 +20,8 @@ FIVE_BAR_JOINT = calib.load(EXAMPLES / "five_bar.yaml").joint_names[0]
 
 
 def with_terms(tmp_path, name, terms):
-    text = (EXAMPLES / name).read_text().replace("urdf: ", f"urdf: {EXAMPLES}/", 1)
-    path = tmp_path / name
-    path.write_text(text + "\njoint_terms:\n" + "\n".join(f"  - {term}" for term in terms) + "\n")
-    return calib.load(path)
+    lines = "".join(f"  - {term}\n" for term in terms)
+    return calib.load(copied(tmp_path, EXAMPLES / name, more=f"\njoint_terms:\n{lines}"))
 
 
 @pytest.fixture
@@ -64,14 +62,11 @@ def test_harmonics_are_sines_and_cosines_of_their_orders(five_bar):
 
 
 def test_of_all_joints_a_period_is_for_the_prismatic_ones_and_a_curve_repeats_after_twice_the_stroke(tmp_path):
-    urdf = ROOT / "urdf"
-    text = (urdf / "medrue.yaml").read_text().replace("urdf: ", f"urdf: {urdf}/", 1)
-    (tmp_path / "medrue.yaml").write_text(
-        f"{text}\njoint_terms:\n"
-        "  - {joint: all, term: harmonics, orders: [1], period: 5 mm}\n"
+    terms = (
+        "\njoint_terms:\n  - {joint: all, term: harmonics, orders: [1], period: 5 mm}\n"
         "  - {joint: all, term: curve, orders: 3}\n"
     )
-    robot = calib.load(tmp_path / "medrue.yaml")
+    robot = calib.load(copied(tmp_path, ROOT / "urdf" / "medrue.yaml", more=terms))
     rail, leg = robot.joint_names[:2]
     robot = robot.with_parameters({f"{rail}.sin1": 2e-5, f"{rail}.curve_cos3": 3e-5, f"{leg}.sin1": 1e-4})
     q = robot.home + np.array([[0.0123, 0.05, 0, 0, 0, 0]])

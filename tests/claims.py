@@ -27,7 +27,7 @@ from calib.core.base.words import count_noun
 from calib.core.data.measurements import Measurements
 from calib.core.judging.claim import claim_of, is_elsewhere, unlike_measured
 from tests.project import EXAMPLES
-from tests.public_data import PLACES, described, mukca, ur10_tracker
+from tests.public_data import PLACES, described, motoman, mukca, ur10_tracker
 
 PAGE = EXAMPLES.parent / "verdict.md"
 _PLACE = re.compile(r"(<!-- begin real robots -->\n).*?(<!-- end real robots -->)", re.DOTALL)
@@ -97,9 +97,7 @@ def _halves(name: str, robot: calib.Robot, data: Measurements, most: int, rng: n
 
 
 def _motoman(folder: Path) -> Iterator[Split]:
-    where = folder / "motoman_right"
-    robot = described(where / "robot.urdf", (EXAMPLES / "motoman_right.yaml").read_text())
-    train, test = (calib.read_measurements(where / f"{name}.csv", robot) for name in ("train", "test"))
+    robot, train, test = motoman(folder / "motoman_right")
     rng = np.random.default_rng(7)
     yield Split("Motoman", "training file, judged by the test file", robot, train, test)
     for count in (50, 50, 80, 80, 120, 120):

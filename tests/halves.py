@@ -23,7 +23,7 @@ from calib.core.data.pose_groups import boxes
 from calib.core.fitting.regions import BLOCKS
 from tests.claims import positioner
 from tests.project import EXAMPLES
-from tests.public_data import PLACES, described, mukca, ur10_tracker
+from tests.public_data import PLACES, motoman, mukca, ur10_tracker
 
 PAGE = EXAMPLES.parent / "uncertainty.md"
 _PLACE = re.compile(r"(<!-- begin halves -->\n).*?(<!-- end halves -->)", re.DOTALL)
@@ -36,9 +36,7 @@ def sets(folder: Path) -> Iterator[tuple[str, calib.Robot, Measurements]]:
     """Yield each robot with its measurements."""
     robot, data, _ = ur10_tracker(folder / "ur10_tracker")
     yield "UR10, 300 poses", robot, data[np.sort(np.random.default_rng(7).permutation(len(data))[:300])]
-    where = folder / "motoman_right"
-    robot = described(where / "robot.urdf", (EXAMPLES / "motoman_right.yaml").read_text())
-    yield "Motoman", robot, calib.read_measurements(where / "train.csv", robot)
+    yield "Motoman", *motoman(folder / "motoman_right")[:2]
     yield "positioner", *positioner(folder)
     for arm, places in PLACES.items():
         yield arm, *mukca(folder / "mukca", arm, places)

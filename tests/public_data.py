@@ -71,6 +71,15 @@ def ur10_tracker(folder, full_poses=False, flange="flange"):
     return robot, calib.read_measurements(folder / "grid.csv", robot), use
 
 
+def motoman(folder, *edits):
+    """The Motoman, with edits (old, new) of its description, and its readings for training and for testing."""
+    text = (EXAMPLES / "motoman_right.yaml").read_text()
+    for old, new in edits:
+        text = text.replace(old, new)
+    robot = described(folder / "robot.urdf", text)
+    return robot, *(calib.read_measurements(folder / f"{name}.csv", robot) for name in ("train", "test"))
+
+
 def motoman_cameras(folder, tracker, turned):
     """The Motoman, its readings for training and for testing, by two cameras and, if `tracker`, by the tracker.
 
@@ -252,8 +261,7 @@ def _drawn(robot, data, test, n, terms, seed):
 
 def tables_motoman_right(folder):
     """The table of the Motoman."""
-    arm = described(folder / "robot.urdf", (EXAMPLES / "motoman_right.yaml").read_text())
-    by_tracker = [calib.read_measurements(folder / f"{name}.csv", arm) for name in ("train", "test")]
+    arm, *by_tracker = motoman(folder)
     rows = []
     for terms in (None, "auto"):
         fit = calib.fit(arm, by_tracker[0], validation=by_tracker[1], terms=terms)

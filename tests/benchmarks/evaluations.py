@@ -36,8 +36,8 @@ from calib.core.robots.terms.term import Context
 from medrue import robot_file
 from medrue.imperfections import from_direction
 from medrue.workspace import target_workspace
-from tests.benchmarks.motoman_choice import load as motoman
 from tests.project import EXAMPLES
+from tests.public_data import motoman
 
 SIGMAS = np.array([1000, 300, 100, 42.6, 10, 7, 3, 1]) * 1e-6
 

@@ -8,8 +8,6 @@ truth and the only error is normal noise of the size found in the real residuals
 """
 
 import argparse
-import shutil
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -20,20 +18,9 @@ from calib.core.numerics.observability import information
 from calib.core.rows.candidates import rows_of_poses
 from calib.core.rows.unknowns import Unknowns
 from calib.planning.selection import select
-from tests.project import EXAMPLES
+from tests.public_data import motoman
 
 COUNT = 53
-DESCRIPTION = EXAMPLES / "motoman_right.yaml"
-
-
-def load(folder):
-    """Robot, training and held-out measurements."""
-    with tempfile.TemporaryDirectory() as together:
-        for name in ("robot.urdf", "train.csv", "test.csv"):
-            shutil.copy(Path(folder) / name, together)
-        shutil.copy(DESCRIPTION, together)
-        robot = calib.load(Path(together) / DESCRIPTION.name)
-        return robot, *(calib.read_measurements(Path(together) / name, robot) for name in ("train.csv", "test.csv"))
 
 
 def rms(errors):
@@ -81,7 +68,7 @@ def main():
     parser.add_argument("folder", type=Path)
     parser.add_argument("--draws", type=int, default=200)
     options = parser.parse_args()
-    robot, train, test = load(options.folder)
+    robot, train, test = motoman(options.folder)
     everything = calib.fit(robot, train, validation=test)
     chosen, random = choices(everything, train, test, options.draws)
     print(f"all {len(train)} poses: held-out rms {rms(everything.validation.errors('after')):.4f} mm,"

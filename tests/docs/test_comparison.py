@@ -7,18 +7,13 @@ from snippets import DOCS
 
 import calib
 from tests import public_data
-from tests.project import EXAMPLES
-from tests.public_data import described, markdown, written
-
-MOTOMAN = (EXAMPLES / "motoman_right.yaml").read_text().replace("2 mm}", "1 mm}").replace("5 mrad}", "3 mrad}")
-"""The example with the priors of the comparison."""
+from tests.public_data import markdown, written
 
 
 def test_the_page_has_what_a_fit_gives(shared_data):
-    """The line of this project is found again, by another reading of the same files."""
-    folder = shared_data / "motoman_right"
-    robot = described(folder / "robot.urdf", MOTOMAN)
-    train, test = (calib.read_measurements(folder / f"{name}.csv", robot) for name in ("train", "test"))
+    """The line of this project is found again, by another reading of the same files, with the priors of the page."""
+    priors = ("2 mm}", "1 mm}"), ("5 mrad}", "3 mrad}")
+    robot, train, test = public_data.motoman(shared_data / "motoman_right", *priors)
     validation = calib.fit(robot, train, validation=test).validation
     page = (DOCS / "comparison.md").read_text()
     starts = ("| RMS of", "| Motoman: the owners")

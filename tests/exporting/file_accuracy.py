@@ -24,7 +24,7 @@ from calib.core.robots.robot_files import urdf_of_origins, without_terms
 from tests.core.robots.urdf.test_denavit_hartenberg import flange_poses
 from tests.exporting.read_back import held_out, in_file, tip_of, urdf_links
 from tests.project import EXAMPLES
-from tests.public_data import added, described, markdown, ur10_tracker, written
+from tests.public_data import added, markdown, motoman, ur10_tracker, written
 
 ENDINGS = {
     "urdf": ".urdf",
@@ -34,13 +34,6 @@ ENDINGS = {
     "xacro": ".xacro",
     "joint-tables": "",
 }
-
-
-def motoman_right(folder):
-    """The Motoman of the public data."""
-    robot = described(folder / "motoman_right" / "robot.urdf", (EXAMPLES / "motoman_right.yaml").read_text())
-    paths = (folder / "motoman_right" / f"{name}.csv" for name in ("train", "test"))
-    return robot, *(calib.read_measurements(path, robot) for path in paths)
 
 
 def ur10(folder):
@@ -147,7 +140,11 @@ if __name__ == "__main__":
     options = parser.parse_args()
     robots = {"simulated arm": simulated_arm, "simulated five-bar": simulated_five_bar}
     if options.folder:
-        robots = {"Motoman": motoman_right, "UR10": ur10, "UR10, `ur_description`": ur_description} | robots
+        robots = {
+            "Motoman": lambda folder: motoman(folder / "motoman_right"),
+            "UR10": ur10,
+            "UR10, `ur_description`": ur_description,
+        } | robots
     results = {}
     for name, made in robots.items():
         with tempfile.TemporaryDirectory() as scratch:

@@ -47,17 +47,6 @@ def test_84_noisy_poses_predict_the_other_336_to_better_than_30_micrometres(robo
     assert 1e3 * after.mean() < 0.03
 
 
-def test_the_calibrated_urdf_reloads_to_the_same_kinematics(robot, tmp_path):
-    calibrated = robot.with_parameters(table1().actual)
-    text = robot_file().read_text()
-    (tmp_path / "medrue.urdf").write_bytes(calibrated.calibrated_urdf())
-    (tmp_path / "medrue.yaml").write_text(text)
-    again = calib.load(tmp_path / "medrue.yaml")
-    q = np.array(target_workspace().q)
-    assert np.max(np.abs(again.positions(q) - calibrated.positions(q))) < 1e-12
-    assert np.max(np.abs(again.values - calibrated.values)) < 1e-12  # the parameters are read off the URDF
-
-
 @pytest.fixture(scope="module")
 def motoman(shared_data, tmp_path_factory):
     """The real arm, in one folder with its shipped description."""

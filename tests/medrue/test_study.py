@@ -45,13 +45,6 @@ def outcome(task: DrawTask) -> DrawOutcome:
     return run([task], None, lambda done: None)[0]
 
 
-def test_without_noise_the_actual_parameters_come_back(task: DrawTask) -> None:
-    for pose_set in task.sets:
-        fitted = fit(task.robot, measurements(task.robot, task.joints, task.truth, pose_set.chosen), sigma=SIGMA)
-        # 1e-9 mm or deg; rounding of the closures (1e-13 m) times the condition of the Jacobian (about 1500)
-        assert np.abs(fitted.robot.values - table1().actual).max() < 1e-11
-
-
 def test_a_draw_ends_in_the_minimum_that_fit_finds(task: DrawTask) -> None:
     noisy = task.noisy(task.seeds[0])
     start = task.robot.with_parameters(table1().actual)

@@ -10,6 +10,7 @@ from calib.planning.selection import select
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
+from tests import public_data
 from tests.benchmarks import motoman_choice
 
 Q = target_workspace().q
@@ -48,7 +49,7 @@ def test_the_predicted_error_is_the_one_that_fits_have(medrue):
 
 @pytest.fixture(scope="module")
 def motoman(shared_data):
-    robot, train, test = motoman_choice.load(shared_data / "motoman_right")
+    robot, train, test = public_data.motoman(shared_data / "motoman_right")
     everything = calib.fit(robot, train, validation=test)
     return everything, train, test, *motoman_choice.choices(everything, train, test, 200)
 

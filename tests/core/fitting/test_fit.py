@@ -1,7 +1,6 @@
 """The fit as a whole: noise stated or found, repeats, loss, folds, and what a failed one leaves behind."""
 
 import json
-import shutil
 import tracemalloc
 from dataclasses import replace
 
@@ -18,6 +17,7 @@ from calib.core.results.result_reading import load_result, read_content
 from calib.core.results.results import save
 from calib.core.robots.terms.terms import parse_terms
 from tests.project import EXAMPLES
+from tests.public_data import motoman
 from tests.six_axis_arm import FREE, YAML, joints, measurements, noisy, write_six_axis
 
 SIGMA = 4e-5
@@ -224,11 +224,9 @@ def test_result_json_has_the_verdict_and_what_it_rests_on(arm, tmp_path):
 
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("sigma", [1e-3, 4.26e-5, 7e-6, 1e-6])
-def test_stating_a_small_noise_keeps_a_fit_of_real_measurements_converged(shared_data, tmp_path, sigma):
-    for source in (shared_data / "motoman_right" / "robot.urdf", EXAMPLES / "motoman_right.yaml"):
-        shutil.copy(source, tmp_path)
-    motoman = calib.load(tmp_path / "motoman_right.yaml")
-    fit = calib.fit(motoman, calib.read_measurements(shared_data / "motoman_right" / "train.csv", motoman), sigma=sigma)
+def test_stating_a_small_noise_keeps_a_fit_of_real_measurements_converged(shared_data, sigma):
+    robot, train, _ = motoman(shared_data / "motoman_right")
+    fit = calib.fit(robot, train, sigma=sigma)
     assert fit.converged
     assert fit.convergence.step_left < 1e-3  # standard deviations; it stops at 1e-5 to 1e-8
 

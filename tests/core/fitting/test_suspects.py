@@ -13,6 +13,7 @@ from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
+from tests.public_data import motoman
 from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
 SIGMA = 4e-5
@@ -236,28 +237,18 @@ def five_bar():
     return robot, calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", robot)
 
 
-@pytest.fixture(scope="module")
-def motoman(shared_data, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("motoman")
-    description = EXAMPLES / "motoman_right.yaml"
-    for file in (description, *(shared_data / "motoman_right" / name for name in ("robot.urdf", "train.csv"))):
-        (folder / file.name).write_bytes(file.read_bytes())
-    robot = calib.load(folder / description.name)
-    return robot, calib.read_measurements(folder / "train.csv", robot)
-
-
 @pytest.mark.quick(0)
 @pytest.mark.amount(1, 2)
-def test_a_healthy_real_arm_shows_no_mistake(motoman, amount):
-    robot, data = motoman
+def test_a_healthy_real_arm_shows_no_mistake(shared_data, amount):
+    robot, data, _ = motoman(shared_data / "motoman_right")
     generator = np.random.default_rng(1)
     for _ in range(amount):
         assert likely_mistake(robot, data.subset(np.sort(generator.permutation(len(data))[:100]))) == ""
 
 
 @pytest.mark.quick(0)
-def test_mistakes_in_the_data_of_a_real_arm_are_named(motoman):
-    robot, data = motoman
+def test_mistakes_in_the_data_of_a_real_arm_are_named(shared_data):
+    robot, data, _ = motoman(shared_data / "motoman_right")
     data = data.subset(np.arange(50))
     signs = np.array([1, -1, -1, -1, 1, 1, 1])
     assert "joints S, L, U have the wrong sign" in likely_mistake(robot, replace(data, joints=signs * data.joints))

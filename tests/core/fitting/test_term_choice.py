@@ -23,6 +23,7 @@ from calib.core.robots.terms.coupling import CouplingSection
 from calib.core.robots.terms.terms import TERMS, parse_terms
 from tests.core.robots.terms.test_compliance import arm, torques, upright_five_bar
 from tests.project import EXAMPLES
+from tests.public_data import motoman
 
 NOISE = 2e-5
 """Standard deviation of simulated measurements per axis [m]."""
@@ -374,13 +375,8 @@ def test_data_without_noise_ask_for_no_terms():
 
 
 @pytest.mark.quick(0)
-def test_auto_helps_a_real_robot_on_poses_that_it_has_not_seen(shared_data, tmp_path):
-    folder = shared_data / "motoman_right"
-    text = (EXAMPLES / "motoman_right.yaml").read_text()
-    text = text.replace("urdf: robot.urdf", f"urdf: {folder / 'robot.urdf'}").replace("2 mm", "1 mm")
-    (tmp_path / "robot.yaml").write_text(text.replace("5 mrad", "3 mrad"))
-    robot = calib.load(tmp_path / "robot.yaml")
-    train, test = (calib.read_measurements(folder / f"{part}.csv", robot) for part in ("train", "test"))
+def test_auto_helps_a_real_robot_on_poses_that_it_has_not_seen(shared_data):
+    robot, train, test = motoman(shared_data / "motoman_right", ("2 mm", "1 mm"), ("5 mrad", "3 mrad"))
     fit = calib.fit(robot, train, validation=test, terms="auto")
     assert "coupling" in sure(fit)
     assert fit.validation.table()["after"]["rms"] < 0.0700  # 0.0742 by the origins alone

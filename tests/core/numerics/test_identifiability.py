@@ -153,34 +153,6 @@ def test_the_rank_is_the_same_for_every_half_of_the_poses_and_also_away_from_nom
     assert numerical_rank(medrue_rows(medrue.with_parameters(table1().actual), q[::3])).rank == 28
 
 
-def moved(**amounts):
-    """Table I's nominal values with some of them moved [m, rad]."""
-    values = table1().nominal.copy()
-    for name, amount in amounts.items():
-        values[NAMES.index(name)] += amount
-    return values
-
-
-@pytest.mark.parametrize(
-    "amounts",
-    [
-        {"d31": 1e-3},
-        {"d32": 1e-3},
-        {"xb": 1e-3, "dq1": -1e-3},
-        {"d5": 1e-3, "xt": -1e-3},
-        {"d41": 1e-3, "dq1": 1e-3, "xt": -1e-3, "d42": -1e-3},
-        {"yb": 1e-3, "A1y": -1e-3, "C1y": -1e-3, "A2y": -1e-3, "C2y": -1e-3},
-        {"zb": 1e-3, "A1z": -1e-3, "C1z": -1e-3, "A2z": -1e-3, "C2z": -1e-3},
-    ],
-    ids=lambda amounts: " ".join(amounts),
-)
-def test_the_papers_directions_move_nothing_also_by_a_millimetre(amounts):
-    """The closed form, which shares no code with the engine, agrees that these directions are exactly unseen."""
-    q = target_workspace().q[::10]
-    difference = forward(q, moved(**amounts)).p_world_tool - forward(q, table1().nominal).p_world_tool
-    assert np.abs(difference).max() < 1e-12  # rounding of lengths up to 1 m
-
-
 def test_other_valid_choices_of_eight_predict_the_same_positions(medrue):
     """Three ways to hold eight parameters, fitted to the same noisy data, agree at poses that were not used."""
     q, generator = target_workspace().q, np.random.default_rng(7)

@@ -63,10 +63,3 @@ def test_positions_come_with_the_derivative(robot):
     configurations = robot.assemble(q)
     linear = linearise(robot, configurations)
     assert np.max(np.abs(linear.positions[:, 0] - forward(q, table1().nominal).p_world_tool)) < 1e-11
-
-
-def test_d31_and_d32_have_no_effect_on_the_tool(robot):
-    jacobian = linearise(robot, robot.assemble(target_workspace().q)).jacobian
-    names = [parameter.name for parameter in robot.parameters]
-    for name in ("d31", "d32"):
-        assert np.max(np.abs(jacobian[..., names.index(name)])) < 1e-12

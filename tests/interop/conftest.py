@@ -43,13 +43,20 @@ class Case:
     poses: list[dict[str, Array]]
     tool: Array
 
-    def largest_difference(self, label: str, pose: Callable[[int, str], Array]) -> float:
-        """Largest entry of |pose(k, link) - expected| over configurations and links [m, rad]; printed for the docs."""
-        largest = max(
-            float(np.abs(pose(k, link) - expected).max())
-            for k, links in enumerate(self.poses)
-            for link, expected in links.items()
-        )
+    def largest_difference(
+        self, label: str, put: Callable[[dict[str, float]], object], pose: Callable[[str], Array]
+    ) -> float:
+        """Largest entry of |pose(link) - expected| over configurations and links [m, rad]; printed for the docs.
+
+        Args:
+            label: The tool and the file.
+            put: Brings the robot to joint values by name.
+            pose: Where a link then is, (4, 4).
+        """
+        largest = 0.0
+        for values, links in zip(self.joints, self.poses, strict=True):
+            put(values)
+            largest = max(largest, *(float(np.abs(pose(link) - expected).max()) for link, expected in links.items()))
         print(
             f"{label}: largest difference of any link's pose in {len(self.poses)} configurations {largest:.1e} m, rad"
         )

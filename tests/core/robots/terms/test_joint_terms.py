@@ -1,7 +1,5 @@
 """Joint terms: columns, derivatives through loops, recovery, what a curve explains of a real robot."""
 
-import csv
-
 import numpy as np
 import pytest
 
@@ -10,12 +8,13 @@ from calib.core.fitting.terms.candidate_terms import candidates
 from calib.core.robots.jacobian import linearise
 from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.core.robots.terms.term import Context
+from calib.core.robots.terms.terms import parse_terms
 from calib.core.rows.observed import observe, predict_readings
 from tests.kind_checks import assert_terms_move_positions_as_differences_say
-from tests.project import EXAMPLES, ROOT, SHARED, copied
+from tests.project import EXAMPLES, ROOT, copied
+from tests.public_data import ur10_tracker
 from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
-UR10 = SHARED / "ur10_tracker"
 FIVE_BAR_JOINT = calib.load(EXAMPLES / "five_bar.yaml").joint_names[0]
 
 
@@ -226,29 +225,12 @@ def test_a_curve_is_found_where_there_is_one_and_stays_flat_where_there_is_none(
 
 
 @pytest.mark.quick(0)
-@pytest.mark.skipif(not UR10.exists(), reason="the measurements of the UR10 are not here")
-def test_curves_halve_what_origins_leave_of_a_real_robot(tmp_path):
-    lines = (UR10 / "grid.csv").read_text().splitlines()
-    rows = list(csv.reader(row for row in lines if not row.startswith("#")))
-    use = np.array([row[-1] for row in rows[1:]])
-    numbers = np.array([[float(cell) for cell in row[:-1]] for row in rows[1:]])
-    joints = [column.split(" ")[0] for column in rows[0][1:7]]
-    fits = {}
-    for name, term in (("origins", ""), ("curves", "- {joint: all, term: curve}\n")):
-        path = tmp_path / f"{name}.yaml"
-        path.write_text(
-            f"urdf: {UR10 / 'robot.urdf'}\nname_mot: [{', '.join(joints)}]\n"
-            "base: {frame: base_link, pose: unknown}\ntargets:\n  sensor: {frame: flange, position: unknown}\n"
-            "parametrisation:\n- {origin: all, components: [x, y, z], sigma: 1 mm}\n"
-            f"- {{origin: all, components: [rx, ry, rz], sigma: 3 mrad}}\n{term}"
-        )
-        robot = calib.load(path)
-        train, test = (
-            calib.as_measurements(robot, numbers[use == part, 1:7], 1e-3 * numbers[use == part, 7:10])
-            for part in ("train", "test")
-        )
-        fits[name] = calib.fit(robot, train, validation=test)
-    after = {name: fit.validation.table()["after"]["rms"] for name, fit in fits.items()}
+def test_curves_halve_what_origins_leave_of_a_real_robot(shared_data):
+    robot, data, use = ur10_tracker(shared_data / "ur10_tracker")
+    after = {}
+    for name, made in (("origins", robot), ("curves", robot.with_terms(parse_terms("curve")))):
+        fit = calib.fit(made, data[use == "train"], validation=data[use == "test"])
+        after[name] = fit.validation.table()["after"]["rms"]
     assert after["origins"] == pytest.approx(0.444, abs=0.005)  # the data's README: 0.44
     assert after["curves"] < 0.15  # the data's README: 0.174 by another program
 

@@ -13,8 +13,6 @@ takes more than 20 evaluations, or more than MINPACK, all solvers of SciPy's lea
 """
 
 import argparse
-import shutil
-import tempfile
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import replace
@@ -37,7 +35,7 @@ from medrue import robot_file
 from medrue.imperfections import from_direction
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
-from tests.public_data import motoman
+from tests.public_data import motoman, ur10_tracker
 
 SIGMAS = np.array([1000, 300, 100, 42.6, 10, 7, 3, 1]) * 1e-6
 
@@ -65,11 +63,7 @@ def example(name, every=1):
 
 def ur10(folder, rows=300):
     """The UR10 and some rows of its file, positions alone."""
-    with tempfile.TemporaryDirectory() as together:
-        shutil.copy(folder / "robot.urdf", together)
-        shutil.copy(EXAMPLES / "ur10_tracker.yaml", together)
-        robot = calib.load(Path(together) / "ur10_tracker.yaml")
-    data = calib.read_measurements(folder / "grid.csv", robot)
+    robot, data, _ = ur10_tracker(folder)
     return robot, data[np.sort(np.random.default_rng(0).choice(len(data), rows, replace=False))]
 
 

@@ -9,7 +9,7 @@ from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
-from tests.project import EXAMPLES
+from tests.public_data import motoman
 
 NAMES = list(PARAMETERS)
 
@@ -47,26 +47,9 @@ def test_84_noisy_poses_predict_the_other_336_to_better_than_30_micrometres(robo
     assert 1e3 * after.mean() < 0.03
 
 
-@pytest.fixture(scope="module")
-def motoman(shared_data, tmp_path_factory):
-    """The real arm, in one folder with its shipped description."""
-
-    folder = tmp_path_factory.mktemp("motoman")
-    for name in ("robot.urdf", "train.csv", "test.csv"):
-        file = shared_data / "motoman_right" / name
-        (folder / file.name).write_bytes(file.read_bytes())
-    description = EXAMPLES / "motoman_right.yaml"
-    (folder / description.name).write_bytes(description.read_bytes())
-    return folder
-
-
-def test_a_real_arm_measured_with_a_laser_tracker(motoman):
-    robot = calib.load(motoman / "motoman_right.yaml")
-    fit = calib.fit(
-        robot,
-        calib.read_measurements(motoman / "train.csv", robot),
-        validation=calib.read_measurements(motoman / "test.csv", robot),
-    )
+def test_a_real_arm_measured_with_a_laser_tracker(shared_data):
+    robot, train, test = motoman(shared_data / "motoman_right")
+    fit = calib.fit(robot, train, validation=test)
     before, after = (fit.validation.table()[state]["rms"] for state in ("before", "after"))
     assert len(fit.identification.data) == 159
     assert len(fit.validation.data) == 53
@@ -75,22 +58,19 @@ def test_a_real_arm_measured_with_a_laser_tracker(motoman):
     assert after <= 0.075
 
 
-def test_a_real_arm_placed_without_expecting_the_reflector_anywhere_is_as_others_found(motoman):
-    text = (motoman / "motoman_right.yaml").read_text().replace(", sigma: 10 mm}", "}")
-    (motoman / "free.yaml").write_text(text)
-    robot = calib.load(motoman / "free.yaml")
-    placed = register(robot, calib.read_measurements(motoman / "train.csv", robot))
-    test = calib.read_measurements(motoman / "test.csv", robot)
+def test_a_real_arm_placed_without_expecting_the_reflector_anywhere_is_as_others_found(shared_data):
+    robot, train, test = motoman(shared_data / "motoman_right", (", sigma: 10 mm}", "}"))
+    placed = register(robot, train)
     errors = placed.positions(test.joints) - test.points(robot)
     assert 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=(1, 2)))) == pytest.approx(0.253, abs=0.001)
 
 
-def test_a_real_arm_also_works_from_its_plain_urdf(motoman):
-    robot = calib.load(motoman / "robot.urdf")
+def test_a_real_arm_also_works_from_its_plain_urdf(shared_data, tmp_path):
+    robot = calib.load(shared_data / "motoman_right" / "robot.urdf")
     columns = {"x1": "flange_x", "y1": "flange_y", "z1": "flange_z"}
-    text = (motoman / "train.csv").read_text()
+    text = (shared_data / "motoman_right" / "train.csv").read_text()
     header, rest = text.split("\n", 1)
-    (motoman / "plain.csv").write_text(",".join(columns.get(name, name) for name in header.split(",")) + "\n" + rest)
-    fit = calib.fit(robot, calib.read_measurements(motoman / "plain.csv", robot))
+    (tmp_path / "plain.csv").write_text(",".join(columns.get(name, name) for name in header.split(",")) + "\n" + rest)
+    fit = calib.fit(robot, calib.read_measurements(tmp_path / "plain.csv", robot))
     after = fit.identification.table()["after"]["rms"]
     assert after <= 0.075

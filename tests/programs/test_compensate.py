@@ -127,8 +127,7 @@ def test_a_board_that_a_camera_on_the_arm_looks_at_is_no_tool(tmp_path):
         compensate(calib.load(tmp_path / "arm.yaml"), program)
 
 
-def test_an_arm_of_unknown_base_and_reflector_is_as_good_as_its_calibration():
-    robot = calib.load(EXAMPLES / "arm.yaml")
+def test_an_arm_of_unknown_base_and_reflector_is_as_good_as_its_calibration(robot):
     truth = perturbed(robot, 1).with_parameters({"base.x": 2.1, "base.rz": 2.0, "reflector.y": -0.003})
     rng = np.random.default_rng(2)
     q, program = rng.uniform(-1.2, 1.2, (90, 6)), rng.uniform(-0.8, 0.8, (336, 6))
@@ -151,9 +150,8 @@ def test_an_arm_of_unknown_base_and_reflector_is_as_good_as_its_calibration():
     assert "the nominal robot's base frame" in compensation.frame
 
 
-def test_a_reflector_and_a_tracker_somewhere_else_move_no_command():
+def test_a_reflector_and_a_tracker_somewhere_else_move_no_command(robot):
     """The robot itself is nominal; priors leave part of the reflector's place in the last origin."""
-    robot = calib.load(EXAMPLES / "arm.yaml")
     truth = robot.with_parameters({"base.x": 2.1, "base.rz": 2.0, "reflector.x": 0.03, "reflector.y": -0.008})
     q = np.random.default_rng(3).uniform(-1.2, 1.2, (60, 6))
     fit = calib.fit(robot, calib.as_measurements(robot, q, truth.positions(q)))

@@ -502,17 +502,15 @@ def test_wrong_input_of_the_command_is_one_line(run_calib, given, said):
 
 
 @pytest.mark.quick(0)
-def test_intervals_hold_what_bends_along_directions_that_priors_hold():
+def test_intervals_hold_what_bends_along_directions_that_priors_hold(robot, data):
     """3 mrad that no reading sees make 3 um of 1 mm, and readings tell joint_2.x to 2 um."""
-    robot = calib.load(EXAMPLES / "arm.yaml")
-    poses = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
-    draws = calib.study(robot, poses, draws=60, truth="priors", sigma=5e-6, seed=7).draws
+    draws = calib.study(robot, data, draws=60, truth="priors", sigma=5e-6, seed=7).draws
     k = [p.name for p, free in zip(robot.parameters, robot.is_free, strict=True) if free].index("joint_2.x")
     off = np.abs(draws.values - draws.truth)
     assert np.mean(off <= draws.half_width) == pytest.approx(0.95, abs=0.02)
     # of 60 draws 52 or fewer are one in forty where 95 % are promised
     assert np.mean(off[:, k] <= draws.half_width[:, k]) > 52 / 60
-    fit = calib.fit(robot, calib.simulate(robot, poses, 5e-6, 1), sigma=5e-6)
+    fit = calib.fit(robot, calib.simulate(robot, data, 5e-6, 1), sigma=5e-6)
     linear = fit.statistics.coverage_factor * fit.statistics.std
     assert np.mean(off[:, k] <= linear[k]) < 52 / 60
     assert np.all(fit.statistics.half_width >= linear)

@@ -9,7 +9,6 @@ import calib
 from calib.core.base.errors import InputError
 from calib.planning.watch import Watch
 from tests.core.instruments import test_kind_pixel as pixel
-from tests.project import EXAMPLES
 from tests.six_axis_arm import joints, write_six_axis
 from tests.viz.viz_examples import five_bar_fit, medrue_fit
 from viz.drag import DraggedView
@@ -102,9 +101,8 @@ def test_a_target_that_is_dragged_brings_the_robot_there():
         assert "not reached" in view.note.content
 
 
-def test_the_first_view_holds_the_arm_and_its_target_wherever_they_are_led():
+def test_the_first_view_holds_the_arm_and_its_target_wherever_they_are_led(robot):
     pytest.importorskip("viser", reason="extra 'viser'")
-    robot = calib.load(EXAMPLES / "arm.yaml")
     shown = gather(robot)
     with DraggedView(shown) as view:
         camera = view.server.initial_camera

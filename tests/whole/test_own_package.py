@@ -198,9 +198,8 @@ def test_a_fit_by_directions_finds_stations_and_the_robot(lab):
     assert "elevation" in report
 
 
-def test_its_reason_is_one_of_the_verdict_where_it_is_true():
-    robot = calib.load(EXAMPLES / "arm.yaml")
-    fit = calib.fit(robot, calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot))
+def test_its_reason_is_one_of_the_verdict_where_it_is_true(robot, data):
+    fit = calib.fit(robot, data)
     codes = {}
     for change in (4.0, 8.0):
         data = fit.identification.data

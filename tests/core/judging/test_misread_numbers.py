@@ -83,10 +83,8 @@ def test_lengths_of_another_unit_fail_without_priors_too(arm, scale):
 
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("scale", [0.984, 1.0, 1.016])
-def test_the_noise_of_many_poses_does_not_hide_lengths_of_another_unit(scale):
+def test_the_noise_of_many_poses_does_not_hide_lengths_of_another_unit(scale, robot, data):
     """An arm whose priors take most of the scale up: what is left of it is small beside the squares of noise."""
-    robot = calib.load(EXAMPLES / "arm.yaml")
-    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
     fit = calib.fit(robot, calib.as_measurements(robot, data.joints, scale * data.points(robot)[:, 0]))
     assert fit.verdict.grade == ("PASS" if scale == 1.0 else "FAIL")
     assert ("lengths_scaled" in fit.verdict.to_dict()["codes"]) == (scale != 1.0)
@@ -208,10 +206,8 @@ def test_a_ballbar_that_reads_wrong_is_no_noise(tmp_path, wrong, scale, offset, 
 
 
 @pytest.mark.quick(0)
-def test_inches_read_as_millimetres_are_told_as_a_factor():
+def test_inches_read_as_millimetres_are_told_as_a_factor(robot, data):
     """In percent, lengths 25.4 times too short would be 2440 % shorter, which nothing is."""
-    robot = calib.load(EXAMPLES / "arm.yaml")
-    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
     fit = calib.fit(robot, calib.as_measurements(robot, data.joints, data.points(robot)[:, 0] / 25.4))
     text = next(reason.text for reason in fit.verdict.reasons if reason.code == "lengths_scaled")
     factor = re.match(r"all measured lengths are ([\d.]+) times as long as in the description", text)
@@ -220,10 +216,8 @@ def test_inches_read_as_millimetres_are_told_as_a_factor():
 
 
 @pytest.mark.quick(0)
-def test_gears_that_turn_too_far_are_no_lengths_of_another_unit():
+def test_gears_that_turn_too_far_are_no_lengths_of_another_unit(robot, data):
     """Larger arcs look like longer links: a gain of 1 % of all joints, which the model lacks, like lengths 1 % off."""
-    robot = calib.load(EXAMPLES / "arm.yaml")
-    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
     middle = np.mean(data.joints, axis=0)
     points = calib.fit(robot, data).robot.positions(middle + 1.01 * (data.joints - middle))
     fit = calib.fit(robot, calib.as_measurements(robot, data.joints, points))

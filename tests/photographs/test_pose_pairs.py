@@ -12,6 +12,7 @@ from calib.photographs.hand_eye_result import Frames
 from calib.photographs.pose_pairs import solve_pairs
 from calib.photographs.pose_pairs_result import judge_pairs, report_pairs
 from calib.photographs.tool_poses import pose_columns, poses_of
+from tests.project import write_table
 
 
 def pose(xyz, rotvec):
@@ -131,13 +132,12 @@ def written(folder, form, tool, seen):
     quaternions = [np.hstack([m[:, :3, 3], Rotation.from_matrix(m[:, :3, :3]).as_quat()]) for m in (tool, seen)]
     if form == "two files":
         for name, cells in zip(("tool", "marker"), quaternions, strict=True):
-            lines = [",".join([f"p{k}", *map(repr, map(float, row))]) for k, row in enumerate(cells)]
-            (folder / f"{name}.csv").write_text("\n".join(["pose,x [m],y [m],z [m],qx,qy,qz,qw", *lines]) + "\n")
+            poses = [f"p{k}" for k in range(len(cells))]
+            write_table(folder / f"{name}.csv", "pose,x [m],y [m],z [m],qx,qy,qz,qw", poses, cells)
         return ["marker.csv", "--poses", "tool.csv"]
     if form == "one file":
         header = [f"{name}_{end}" for name in ("gripper", "target") for end in ("x", "y", "z", "qx", "qy", "qz", "qw")]
-        rows = [",".join(map(repr, map(float, row))) for row in np.hstack(quaternions)]
-        (folder / "both.csv").write_text("\n".join([",".join(header), *rows]) + "\n")
+        write_table(folder / "both.csv", header, *quaternions)
         return ["both.csv"]
     if form == "opencv":
         arrays = {

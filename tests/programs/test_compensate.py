@@ -22,9 +22,9 @@ from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
-from tests.core.robots.urdf.test_denavit_hartenberg import robot_of, write_table
+from tests.core.robots.urdf.test_denavit_hartenberg import robot_of, write_dh_table
 from tests.programs.compensated_robots import TrueFrame, poses_of
-from tests.project import EXAMPLES
+from tests.project import EXAMPLES, write_table
 from tests.saved_results import with_verdict
 from tests.six_axis_arm import write_six_axis
 
@@ -341,15 +341,12 @@ def test_orientations_are_off_by_what_is_expected(tmp_path, keep):
     q = rng.uniform(-1.2, 1.2, (25, 6))
     poses = truth.forward(q)
     noisy = [pin.exp3(2e-4 * rng.standard_normal(3)) @ R for R in poses[:, :3, :3]]
-    (tmp_path / "poses.csv").write_text(
-        ",".join((*nominal.joint_names, *(f"six_{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw"))))
-        + "\n"
-        + "".join(
-            ",".join(map(repr, map(float, (*row, *(p + 5e-5 * rng.standard_normal(3)), *pin.Quaternion(R).coeffs()))))
-            + "\n"
-            for row, p, R in zip(q, truth.positions(q)[:, 0], noisy, strict=True)
-        )
-    )
+    seen = [
+        (*(p + 5e-5 * rng.standard_normal(3)), *pin.Quaternion(R).coeffs())
+        for p, R in zip(truth.positions(q)[:, 0], noisy, strict=True)
+    ]
+    header = [*nominal.joint_names, *(f"six_{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw"))]
+    write_table(tmp_path / "poses.csv", header, q, np.array(seen))
     fit = calib.fit(nominal, calib.read_measurements(tmp_path / "poses.csv", nominal))
     program = rng.uniform(-0.8, 0.8, (6, 6)) + np.array([0, 0, 0, 0, 1.2, 0])
     compensation = compensate(fit, program, keep=keep)
@@ -504,7 +501,7 @@ def test_a_failed_result_compensates_nothing(tmp_path, calibrated):
 @pytest.mark.quick(0)
 def test_a_ur10_with_gears_that_no_line_describes_runs_at_the_error_of_its_calibration(tmp_path):
     """100 rows; its true joints are off by waves of their gears, which the calibration knows as smooth curves only."""
-    table = write_table(tmp_path, "ur10")
+    table = write_dh_table(tmp_path, "ur10")
     nominal = robot_of(table, tmp_path / "ur10.yaml")
     text = (tmp_path / "ur10.yaml").read_text()
     text = text.replace("# held:", "  - {joint: all, term: curve}\n# held:", 1)

@@ -10,6 +10,7 @@ import calib
 from calib.core.robots.file_formats import formats
 from calib.exporting.formats import JOINT_TABLES
 from calib.printers import COMMENTS as FIRMWARES
+from tests.project import write_table
 from tests.six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
 from tests.small_robots import write_arm, write_parallelogram
 
@@ -33,8 +34,7 @@ def fit_file(folder, run_calib):
     """Write joints and positions to a file, fit it, and return the run and the result (None if none was written)."""
 
     def fit(q, positions, robot="arm.yaml", *options, header=ARM_HEADER):
-        rows = [",".join(repr(float(cell)) for cell in (*a, *b)) for a, b in zip(q, positions, strict=True)]
-        (folder / "data.csv").write_text("\n".join([header, *rows]) + "\n")
+        write_table(folder / "data.csv", header, q, positions)
         run = run_calib("fit", folder / robot, folder / "data.csv", "--out", folder / "out", *options)
         result = folder / "out" / "result.json"
         return run, json.loads(result.read_text()) if result.exists() else None

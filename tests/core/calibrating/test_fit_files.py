@@ -14,7 +14,7 @@ from calib.core.results.result_reading import read_content
 from calib.core.robots.accuracy_of_files import Accuracy, Holds, PoseUse
 from calib.core.robots.robot_files import urdf_of_origins, without_terms
 from tests.exporting.read_back import held_out, in_file, tip_of, urdf_links
-from tests.project import EXAMPLES, ROOT
+from tests.project import EXAMPLES, ROOT, write_table
 from tests.six_axis_arm import FREE, YAML, joints, write_six_axis
 
 SIGMA = 2e-5
@@ -244,10 +244,9 @@ def warm_and_cold(folder, true_tip):
         q = MIDDLE + rng.uniform(-0.7, 0.7, (n, 6))
         above = rng.uniform(*warm, (n, 1))
         points = true_tip(q + 1e-3 * above * [1, -1, 1, 1, -1, 1]) + SIGMA * rng.standard_normal((n, 3))
-        numbers = np.hstack([q, 20.0 + above, points])
-        header = ",".join([*(f"j{k}" for k in range(1, 7)), "temperature", "ball_x", "ball_y", "ball_z"])
-        np.savetxt(folder / f"{name}.csv", numbers, delimiter=",", header=header, comments="", fmt="%.17g")
-        rows[name] = calib.read_measurements(folder / f"{name}.csv", arm)
+        header = "j1,j2,j3,j4,j5,j6,temperature,ball_x,ball_y,ball_z"
+        path = write_table(folder / f"{name}.csv", header, q, 20.0 + above, points)
+        rows[name] = calib.read_measurements(path, arm)
     return arm, rows["train"], rows["test"]
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import calib
+from tests.project import write_table
 from tests.small_robots import ARM_YAML, small_arm, write_arm
 
 Q = np.array([[0.1, 0.2, 0.3], [0.2, 0.3, 0.4], [0.3, 0.4, 0.5]])
@@ -23,13 +24,10 @@ def test_arrays_are_named_by_row_and_poses_stay_what_they_are(arm):
 
 def test_measurements_from_arrays_are_those_of_a_file(arm, tmp_path):
     positions = arm.positions(Q)[:, 0] + np.array([[1e-3, 0, 0], [0, 2e-3, 0], [0, 0, 3e-3]])
-    lines = ["pose,turn,slide,wrist," + ",".join(f"{arm.target_names[0]}_{axis}" for axis in "xyz")]
-    names = ("a", "b", "c")
-    lines += [
-        ",".join([name, *map(repr, map(float, (*q, *p)))]) for name, q, p in zip(names, Q, positions, strict=True)
-    ]
-    (tmp_path / "data.csv").write_text("\n".join(lines))
-    read = calib.read_measurements(tmp_path / "data.csv", arm)
+    names, header = ("a", "b", "c"), "pose,turn,slide,wrist,tip_x,tip_y,tip_z"
+    read = calib.read_measurements(
+        write_table(tmp_path / "data.csv", header, names, np.array(Q, float), positions), arm
+    )
     made = calib.as_measurements(arm, Q, positions, names)
     assert made.names == read.names
     np.testing.assert_array_equal(made.joints, read.joints)

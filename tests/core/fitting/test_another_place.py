@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import calib
+from tests.project import write_table
 from tests.six_axis_arm import FREE, YAML, joints, six_axis_arm, write_six_axis
 
 SIGMA = 4e-5
@@ -34,14 +35,9 @@ def measured(tmp_path_factory):
 
 
 def written(path, measured, places):
-    header = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{a} [m]" for a in "xyz"), "setup"])
-    rows = [
-        ",".join([*(repr(float(value)) for value in (*joint, *point)), name])
-        for name in places
-        for joint, point in zip(*measured[name], strict=True)
-    ]
-    path.write_text("\n".join([header, *rows]) + "\n")
-    return path
+    header = [*(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{a} [m]" for a in "xyz"), "setup"]
+    read = ((*row, name) for name in places for row in zip(*measured[name], strict=True))
+    return write_table(path, header, *zip(*read, strict=True))
 
 
 def laid_through(predicted, points):

@@ -22,7 +22,7 @@ from calib.core.fitting.validation import stretches
 from calib.core.robots.terms.coupling import CouplingSection
 from calib.core.robots.terms.terms import TERMS, parse_terms
 from tests.core.robots.terms.test_compliance import arm, torques, upright_five_bar
-from tests.project import EXAMPLES
+from tests.project import EXAMPLES, write_table
 from tests.public_data import motoman
 
 NOISE = 2e-5
@@ -267,15 +267,11 @@ def curved(tmp_path):
     gear = q.copy()
     gear[:, 1] += 4e-4 * np.sin(11 * q[:, 1])
     points = robot.positions(gear)[:, 0] + NOISE * rng.standard_normal((100, 3))
-    header = ",".join([*(f"{name} [rad]" for name in robot.joint_names), *(f"reflector_{a} [m]" for a in "xyz")])
-    rows = [
-        ",".join(repr(float(value)) for value in [*joints, *point]) for joints, point in zip(q, points, strict=True)
-    ]
-    (tmp_path / "data.csv").write_text("\n".join([header, *rows]) + "\n")
+    header = [*(f"{name} [rad]" for name in robot.joint_names), *(f"reflector_{a} [m]" for a in "xyz")]
+    write_table(tmp_path / "data.csv", header, q, points)
     far = q[:5].copy()
     far[:, 1] += 2.0
-    rows = [",".join(repr(float(v)) for v in [*j, *p]) for j, p in zip(far, robot.positions(far)[:, 0], strict=True)]
-    (tmp_path / "far.csv").write_text("\n".join([header, *rows]) + "\n")
+    write_table(tmp_path / "far.csv", header, far, robot.positions(far)[:, 0])
     return robot, tmp_path
 
 

@@ -6,6 +6,7 @@ import pytest
 import calib
 from calib.core.fitting.unseen_errors import accuracy, leave_one_out_errors, limit95
 from calib.core.robots.accuracy_of_files import PoseUse
+from tests.project import write_table
 from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
 SIGMA = 4e-5
@@ -77,11 +78,8 @@ def test_a_pose_that_alone_decides_something_is_foretold_by_none(tmp_path):
     arm = calib.load(write_six_axis(tmp_path, f"{text}{FREE}setups: {{first: [], second: [ball]}}\n"))
     q, header = joints(30), [*(f"j{k}" for k in range(1, 7)), "ball_x", "ball_y", "ball_z", "setup"]
     points = arm.positions(q)[:, 0] + SIGMA * np.random.default_rng(4).standard_normal((30, 3))
-    rows = [
-        [*map(repr, row.tolist()), "second" if k == 11 else "first"] for k, row in enumerate(np.hstack([q, points]))
-    ]
-    (tmp_path / "data.csv").write_text("\n".join(",".join(row) for row in [header, *rows]) + "\n")
-    fit = calib.fit(arm, calib.read_measurements(tmp_path / "data.csv", arm))
+    setups = ["second" if k == 11 else "first" for k in range(30)]
+    fit = calib.fit(arm, calib.read_measurements(write_table(tmp_path / "data.csv", header, q, points, setups), arm))
     foretold = leave_one_out_errors(fit)
     assert list(foretold.data.names) == [str(k + 1) for k in range(30) if k != 11]
     assert np.all(np.linalg.norm(foretold.after["ball"], axis=1) > 0)

@@ -8,7 +8,7 @@ from calib.core.numerics.rigid import centre, common_offset
 from calib.core.rows.observed import predict_readings
 from calib.core.rows.registration import register
 from tests.kind_checks import assert_found, chain_error
-from tests.project import EXAMPLES, copied
+from tests.project import EXAMPLES, copied, write_table
 from tests.six_axis_arm import joints, write_six_axis
 from tests.small_robots import ARM_YAML, write_arm
 
@@ -101,14 +101,12 @@ def fit_file(tmp_path, run_calib):
         robot = calib.load(write_six_axis(tmp_path, YAML))
         q = joints(30, seed=8)
         truth = robot.with_parameters(TRUTH)
-        header = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"{name}_distance [mm]" for name in ENDS)])
-        result = np.hstack([q, *(1e3 * values for values in read(truth, q, SIGMA).values())])
-        lines = [header, *(",".join(repr(float(cell)) for cell in row) for row in result)]
-        (tmp_path / "data.csv").write_text("\n".join(lines) + "\n")
+        header = [*(f"j{k} [rad]" for k in range(1, 7)), *(f"{name}_distance [mm]" for name in ENDS)]
+        data = write_table(tmp_path / "data.csv", header, q, *(1e3 * v for v in read(truth, q, SIGMA).values()))
         yaml = YAML.replace(*in_yaml)
         assert (yaml != YAML) == any(in_yaml)
         (tmp_path / "arm.yaml").write_text(yaml)
-        run = run_calib("fit", tmp_path / "arm.yaml", tmp_path / "data.csv", "--out", tmp_path / "out")
+        run = run_calib("fit", tmp_path / "arm.yaml", data, "--out", tmp_path / "out")
         assert len(run.err.strip().splitlines()) <= 1
         return run
 

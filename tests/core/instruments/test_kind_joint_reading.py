@@ -8,7 +8,7 @@ import pytest
 import calib
 from calib.core.rows.observed import observe, predict_readings
 from tests.kind_checks import assert_found
-from tests.project import EXAMPLES, copied
+from tests.project import EXAMPLES, copied, write_table
 from tests.small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 from viz.reading_errors import reading_errors_of_fit as readings_of_fit
 
@@ -121,10 +121,9 @@ def test_a_file_with_an_encoder_is_fitted_and_reported_in_degrees(tmp_path, run_
     q = poses(robot, 40, 6)
     read = elbows(robot.with_parameters(FREE), q)[:, 0] + ZERO
     read += 1e-4 * np.random.default_rng(0).standard_normal(40)
-    lines = ["left_motor [deg],right_motor [deg],elbow [deg]"]
-    lines += [",".join(repr(float(np.degrees(x))) for x in (*row, angle)) for row, angle in zip(q, read, strict=True)]
-    (tmp_path / "data.csv").write_text("\n".join(lines) + "\n")
-    run = run_calib("fit", robot.path, tmp_path / "data.csv", "--out", tmp_path / "out", "--verbose")
+    header = "left_motor [deg],right_motor [deg],elbow [deg]"
+    data = write_table(tmp_path / "data.csv", header, np.degrees(q), np.degrees(read))
+    run = run_calib("fit", robot.path, data, "--out", tmp_path / "out", "--verbose")
     assert run.code == 0, run.err
     assert "\nelbow.zero,0.0,165.8" in (tmp_path / "out" / "parameters.csv").read_text()
     assert "mrad (none was stated)" in run.out

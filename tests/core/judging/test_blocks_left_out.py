@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import calib
+from tests.project import write_table
 from tests.six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
 
 SIGMA = 4e-5
@@ -54,16 +55,11 @@ def test_setups_that_do_not_agree_are_said_to_be_setups(arm, tmp_path):
     moving = calib.load(write_six_axis(tmp_path, f"{yaml}{FREE}setups: {{left: [], right: [base]}}\n"))
 
     def measured(points, name):
-        side = np.where(np.arange(120) < 60, 1.0, -1.0)
         seen = points(q)[:, 0] + SIGMA * np.random.default_rng(1).standard_normal((120, 3))
         seen[60:] = seen[60:] @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) + [0.3, 2.0, 0.1]
-        rows = [
-            ",".join([*map(repr, map(float, [*joint, *point])), "left" if item > 0 else "right"])
-            for joint, point, item in zip(q, seen, side, strict=True)
-        ]
-        header = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{a} [m]" for a in "xyz"), "setup"])
-        (tmp_path / name).write_text("\n".join([header, *rows]) + "\n")
-        return calib.read_measurements(tmp_path / name, moving)
+        header = [*(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{a} [m]" for a in "xyz"), "setup"]
+        path = write_table(tmp_path / name, header, q, seen, ["left"] * 60 + ["right"] * 60)
+        return calib.read_measurements(path, moving)
 
     q = joints(120) * [0.5, 0.5, 1.0, 1.0, 1.0, 1.0]
     q[:, :2] += np.where(np.arange(120) < 60, 0.8, -0.8)[:, None]

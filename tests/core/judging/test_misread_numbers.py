@@ -10,7 +10,7 @@ import calib
 from calib.core.judging.row_derivatives import length_derivative
 from calib.core.rows.observed import observe, predict_readings
 from tests.core.instruments.test_kind_pose import YAML as POSES
-from tests.project import EXAMPLES, copied
+from tests.project import EXAMPLES, copied, write_table
 from tests.six_axis_arm import joints, measurements, write_six_axis
 
 ORDERS = {
@@ -35,10 +35,7 @@ def read(folder, robot, q, points, numbers, columns="qx qy qz qw"):
     """Measurements from a file with these columns of rotations."""
     head = [*(f"j{k} [rad]" for k in range(1, 7)), *(f"tracker_{a} [m]" for a in "xyz")]
     head += [f"tracker_{name}" for name in columns.split()]
-    rows = np.hstack([q, points, numbers])
-    text = "\n".join([",".join(head), *(",".join(map(repr, map(float, row))) for row in rows)])
-    (folder / "data.csv").write_text(text + "\n")
-    return calib.read_measurements(folder / "data.csv", robot)
+    return calib.read_measurements(write_table(folder / "data.csv", head, q, points, numbers), robot)
 
 
 @pytest.mark.quick(0)

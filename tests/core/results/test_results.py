@@ -18,7 +18,7 @@ from calib.core.results.result_reading import load_result, read_content
 from calib.core.results.results import _covariance_table, save
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.description import description_yaml, read_description
-from tests.project import EXAMPLES, ROOT
+from tests.project import EXAMPLES, ROOT, write_table
 from tests.saved_results import with_verdict
 from tests.signed_files import read_plain
 from tests.small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
@@ -472,12 +472,8 @@ def test_every_command_takes_a_folder_as_the_robot_and_means_the_same_as_with_re
 ):
     generator = np.random.default_rng(8)
     q = generator.uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (40, 3))
-    rows = [",".join(f"{value:.6f}" for value in row) for row in q]
-    (tmp_path / "q.csv").write_text("\n".join(["turn,slide,wrist", *rows]) + "\n")
-    p = fitted.robot.positions(q[:3])[:, 0]
-    (tmp_path / "t.csv").write_text(
-        "tip_x,tip_y,tip_z\n" + "\n".join(",".join(map(repr, map(float, row))) for row in p)
-    )
+    write_table(tmp_path / "q.csv", "turn,slide,wrist", np.round(q, 6))
+    write_table(tmp_path / "t.csv", "tip_x,tip_y,tip_z", fitted.robot.positions(q[:3])[:, 0])
     shutil.copytree(folder, tmp_path / "done")
     for command, *rest in (
         ("predict", "q.csv", "--out", "OUT"),

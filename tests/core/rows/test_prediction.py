@@ -12,6 +12,7 @@ from calib.core.robots.terms.terms import parse_terms
 from calib.core.rows.candidates import rows_of_poses
 from calib.core.rows.prediction import PositionUncertainty, order_of_joints, recombined_joints
 from tests.kind_checks import positions_by_joint
+from tests.project import write_table
 from tests.six_axis_arm import FREE, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 SIGMA = 4e-5
@@ -107,10 +108,8 @@ def test_positions_are_better_known_than_single_parameters(fit):
 
 def test_predict_writes_a_standard_deviation_for_each_coordinate(fit, tmp_path, run_calib):
     fit.save(tmp_path / "out")
-    poses = tmp_path / "poses.csv"
     q = joints(3, seed=5)
-    rows = [",".join(f"j{k} [rad]" for k in range(1, 7)), *(",".join(repr(float(v)) for v in row) for row in q)]
-    poses.write_text("\n".join(rows) + "\n")
+    poses = write_table(tmp_path / "poses.csv", [f"j{k} [rad]" for k in range(1, 7)], q)
     out = tmp_path / "predicted.csv"
     run = run_calib(
         "predict", fit.nominal.path, poses, "--result", tmp_path / "out", "--out", out, "--json", tmp_path / "p.json"
@@ -215,8 +214,7 @@ def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, re
     fit = calib.fit(robot, noisy(robot, reach * joints(60), 4e-5, 1))
     fit.save(tmp_path / "out", pages=False)
     q = joints(20, 7)
-    rows = [",".join(map(repr, row)) for row in q.tolist()]
-    (tmp_path / "q.csv").write_text("\n".join(["j1,j2,j3,j4,j5,j6", *rows, ""]))
+    write_table(tmp_path / "q.csv", "j1,j2,j3,j4,j5,j6", q)
     run = run_calib("predict", tmp_path / "arm.yaml", tmp_path / "q.csv", "--result", tmp_path / "out", "--out",
                     tmp_path / "p.csv")  # fmt: skip
     claim = fit.verdict.claim

@@ -11,7 +11,7 @@ from calib.core.robots.terms.term import Context
 from calib.core.robots.terms.terms import parse_terms
 from calib.core.rows.observed import observe, predict_readings
 from tests.kind_checks import assert_terms_move_positions_as_differences_say
-from tests.project import EXAMPLES, ROOT, copied
+from tests.project import EXAMPLES, ROOT, copied, write_table
 from tests.public_data import ur10_tracker
 from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
@@ -271,9 +271,7 @@ def test_terms_that_count_turns_are_doubted_where_values_may_be_wrapped(first, d
         "joint j1 lie within one turn, and the URDF states no limits. If these values were wrapped, j1.gain, j3.by_j1"
     )
     assert [wrong in text for text in words] == [True] * doubted
-    rows = [",".join(robot.joint_names), *(",".join(repr(float(v)) for v in row) for row in q)]
-    (tmp_path / "poses.csv").write_text("\n".join(rows) + "\n")
-    run = run_calib("check", robot.path, tmp_path / "poses.csv")
+    run = run_calib("check", robot.path, write_table(tmp_path / "poses.csv", robot.joint_names, q))
     assert run.code == 0
     assert ("j1.gain, j3.by_j1 cannot be right. Give values that count turns" in run.err) == doubted
 

@@ -64,7 +64,7 @@ def textbook(convention: str, rows: list, sliding: str, q: np.ndarray) -> np.nda
     return product
 
 
-def write_table(folder: Path, name: str) -> Path:
+def write_dh_table(folder: Path, name: str) -> Path:
     convention, rows, sliding = TABLES[name]
     lines = [f"# convention: {convention}", "type,theta [deg],d [mm],a [mm],alpha [deg],lower,upper"]
     for k, (a, d, alpha, theta) in enumerate(rows, start=1):
@@ -100,7 +100,7 @@ def poses(n: int, table: str) -> np.ndarray:
 
 @pytest.mark.parametrize("name", TABLES)
 def test_a_published_table_becomes_a_robot(name: str, tmp_path: Path) -> None:
-    robot = robot_of(write_table(tmp_path, name), tmp_path / "robot.yaml")
+    robot = robot_of(write_dh_table(tmp_path, name), tmp_path / "robot.yaml")
     q = poses(1000, name)
     expected = np.array([textbook(*TABLES[name], row) for row in q])
     assert np.abs(robot.forward(q, "flange") - expected).max() < ROUNDING
@@ -113,7 +113,7 @@ def test_a_published_table_becomes_a_robot(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", TABLES)
 @pytest.mark.parametrize("file_format", ["dh", "mdh"])
 def test_in_and_out_and_in_again(name: str, file_format: str, tmp_path: Path) -> None:
-    robot = robot_of(write_table(tmp_path, name), tmp_path / "robot.yaml")
+    robot = robot_of(write_dh_table(tmp_path, name), tmp_path / "robot.yaml")
     out = tmp_path / "out.csv"
     result = CliRunner().invoke(
         export_command, [str(tmp_path / "robot.yaml"), "--format", file_format, "--out", str(out)]
@@ -129,17 +129,17 @@ def test_in_and_out_and_in_again(name: str, file_format: str, tmp_path: Path) ->
 
 
 def test_published_poses(tmp_path: Path) -> None:
-    puma = robot_of(write_table(tmp_path, "puma"), tmp_path / "puma.yaml")
+    puma = robot_of(write_dh_table(tmp_path, "puma"), tmp_path / "puma.yaml")
     printed = [[0, 0, 1, 0.5963], [0, 1, 0, -0.1501], [-1, 0, 0, -0.0144], [0, 0, 0, 1]]  # Corke's p560 at qn
     assert np.abs(puma.forward([0, np.pi / 4, np.pi, 0, np.pi / 4, 0], "flange") - printed).max() < 1e-4
-    ur10 = robot_of(write_table(tmp_path, "ur10"), tmp_path / "ur10.yaml")
+    ur10 = robot_of(write_dh_table(tmp_path, "ur10"), tmp_path / "ur10.yaml")
     assert ur10.forward(np.zeros(6), "flange")[:3, 3] == pytest.approx([-1.1843, -0.256141, 0.0116], abs=ROUNDING)
 
 
 def test_a_published_table_comes_back_with_its_numbers(tmp_path: Path) -> None:
     """No axes of these two are without a common normal of their own but parallel ones, where d is 0 in both."""
     for name in ("ur10", "motoman"):
-        robot_of(write_table(tmp_path, name), tmp_path / f"{name}.yaml")
+        robot_of(write_dh_table(tmp_path, name), tmp_path / f"{name}.yaml")
         out = tmp_path / f"{name}_out.csv"
         CliRunner().invoke(export_command, [str(tmp_path / f"{name}.yaml"), "--format", "dh", "--out", str(out)])
         rows = read_dh(out).rows[1:-1]
@@ -154,7 +154,7 @@ def test_a_published_table_comes_back_with_its_numbers(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["ur10", "stanford"])
 def test_a_calibrated_robot_is_held_exactly(file_format: str, name: str, tmp_path: Path) -> None:
     """Errors of every origin, so that no axes are parallel; the file multiplied up here, against Pinocchio."""
-    robot = robot_of(write_table(tmp_path, name), tmp_path / "robot.yaml")
+    robot = robot_of(write_dh_table(tmp_path, name), tmp_path / "robot.yaml")
     generator = np.random.default_rng(8)
     names = [parameter.name for parameter in robot.parameters if not parameter.name.startswith(("base", "flange."))]
     robot = robot.with_parameters({item: robot_value(robot, item) + generator.normal(0, 2e-3) for item in names})

@@ -61,7 +61,7 @@ class _Moments:
 
     Attributes:
         squares: Z^T Z, (m, k, k).
-        absorbed: (J T)^T Z, (m, rank, k).
+        absorbed: (J T)^T Z, (rank, k, m).
         score: Z^T r, (m, k).
     """
 
@@ -83,7 +83,7 @@ class _EffectTests:
         ranks: Columns left after M, (m,).
         gains: Decrease of |r|^2, (m,).
         coefficients: c, (m, k).
-        absorbed: (J T)^T Z, (m, rank, k).
+        absorbed: (J T)^T Z of all effects of this kind and name, (rank, k, n_effects).
     """
 
     effects: Effects
@@ -161,9 +161,9 @@ def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
 
 def _effects_with_residuals(residuals: LinearFit, kept: Sequence[tuple[_EffectTests, int]]) -> FloatArray:
     """Return M Z c of each effect, (n_rows, n_effects), which takes less time for several than `after_fit`."""
-    absorbed = np.stack([tests.absorbed[row] @ tests.coefficients[row] for tests, row in kept], axis=1)
+    absorbed = [tests.absorbed[:, :, tests.numbers[row]] @ tests.coefficients[row] for tests, row in kept]
     whole = [tests.effects.times(int(tests.numbers[row]), tests.coefficients[row]) for tests, row in kept]
-    return np.asarray(np.stack(whole, axis=1) - residuals.span.times(absorbed))
+    return np.asarray(np.stack(whole, axis=1) - residuals.span.times(np.stack(absorbed, axis=1)))
 
 
 def _moments(residuals: LinearFit, some: Sequence[Effects]) -> list[_Moments]:
@@ -185,10 +185,10 @@ def _moments(residuals: LinearFit, some: Sequence[Effects]) -> list[_Moments]:
             products[k] = products[k] + each.reshape(*further.shape[1:], *factors.shape[1:])
     result = []
     for effect, square, product in zip(some, squares, products, strict=True):
-        moments = product.transpose(3, 1, 0, 2).reshape(len(square), -1, square.shape[1])
-        score, absorbed = moments[:, 0], moments[:, 1:]
+        moments = product.swapaxes(0, 1).reshape(-1, square.shape[1], len(square))
+        score, absorbed = moments[0].T, moments[1:]
         if tall:
-            absorbed = np.concatenate([span.root.T @ absorbed[:, :n], absorbed[:, n:]], axis=1)
+            absorbed = np.concatenate([np.tensordot(span.root.T, absorbed[:n], 1), absorbed[n:]])
         result.append(_Moments(effect, square, absorbed, score))
     return result
 
@@ -239,14 +239,12 @@ def _tests(residuals: LinearFit, some: Sequence[Effects]) -> list[_EffectTests]:
 
 def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTests]:
     """Test effects with equally many columns, without absorbed ones and those that leave no degree of freedom."""
-    squares, inside, scores = (
-        np.concatenate([getattr(moments, name) for moments in some]) for name in ("squares", "absorbed", "score")
-    )
+    squares, scores = (np.concatenate([getattr(moments, name) for moments in some]) for name in ("squares", "score"))
+    absorbed = np.concatenate([moments.absorbed for moments in some], axis=2)
     size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
     shown = np.all(size > 0, axis=1)
     size = np.where(shown[:, None], size, 1.0)
-    absorbed = inside / size[:, None, :]
-    left = squares / (size[:, :, None] * size[:, None, :]) - np.matmul(absorbed.transpose(0, 2, 1), absorbed)
+    left = (squares - np.einsum("rim,rjm->mij", absorbed, absorbed)) / (size[:, :, None] * size[:, None, :])
     values, vectors = linalg.eigh(left)
     determined = values > ABSORBED
     score = np.where(determined, np.matmul((scores / size)[:, None, :], vectors)[:, 0], 0.0)
@@ -257,7 +255,7 @@ def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTe
     k, freedom_left, gains = k[rows], residuals.freedom - k[rows], gains[rows]
     rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / freedom_left
     ratios = np.maximum(gains / k / rest, 0.0)
-    found = ratios, k, gains, coefficients[rows], inside[rows]
+    found = ratios, k, gains, coefficients[rows]
     ends = np.cumsum([len(moments.score) for moments in some])
     tested = []
     for moments, end in zip(some, ends.tolist(), strict=True):
@@ -265,7 +263,8 @@ def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTe
         own = slice(*np.searchsorted(rows, (first, end)).tolist())
         if own.start < own.stop:
             each = (array[own] for array in found)
-            tested.append(_EffectTests(moments.effects, rows[own] - first, residuals.freedom, *each))
+            tests = _EffectTests(moments.effects, rows[own] - first, residuals.freedom, *each, moments.absorbed)
+            tested.append(tests)
     return tested
 
 
@@ -278,7 +277,8 @@ def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: Floa
     if not np.isfinite(residuals.pose_freedom):
         return tests.chance(row)
     columns = tests.effects.columns(int(tests.numbers[row]))
-    basis = linalg.orth(columns - residuals.span.times(tests.absorbed[row]), rcond=np.sqrt(ABSORBED))
+    absorbed = residuals.span.times(tests.absorbed[:, :, tests.numbers[row]])
+    basis = linalg.orth(columns - absorbed, rcond=np.sqrt(ABSORBED))
     k, pose = int(tests.ranks[row]), residuals.rows.layout.pose_of_row
     left_over = max(residuals.pose_freedom - k, 1.0)
 

@@ -61,13 +61,13 @@ class _Moments:
 
     Attributes:
         squares: Z^T Z, (m, k, k).
-        absorbed: (J T)^T Z, (rank, k, m).
+        left: Z^T M Z, (m, k, k).
         score: Z^T r, (m, k).
     """
 
     effects: Effects
     squares: FloatArray
-    absorbed: FloatArray
+    left: FloatArray
     score: FloatArray
 
 
@@ -83,7 +83,6 @@ class _EffectTests:
         ranks: Columns left after M, (m,).
         gains: Decrease of |r|^2, (m,).
         coefficients: c, (m, k).
-        absorbed: (J T)^T Z of all effects of this kind and name, (rank, k, n_effects).
     """
 
     effects: Effects
@@ -93,7 +92,6 @@ class _EffectTests:
     ranks: IntArray
     gains: FloatArray
     coefficients: FloatArray
-    absorbed: FloatArray
 
     def chance(self, row: int) -> float:
         """Return the chance of such a gain if readings are independent."""
@@ -132,7 +130,8 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
     noise = setting.sizes(np.full((len(residuals.span), 1), residuals.factor))[:, 0]
     result = []
     for part in slices(len(kept), max(_NUMBERS_AT_ONCE // len(residuals.span), 1)):
-        explained = _effects_with_residuals(residuals, kept[part])
+        whole = [tests.effects.times(int(tests.numbers[row]), tests.coefficients[row]) for tests, row in kept[part]]
+        explained = residuals.after_fit(np.stack(whole, axis=1))
         for (tests, row), column, sizes in zip(kept[part], explained.T, setting.sizes(explained).T, strict=True):
             group = setting.first if tests.effects.group is None else tests.effects.group
             size, dimension = float(sizes[group]), setting.fit.whitening.groups[group].part.dimension
@@ -159,13 +158,6 @@ def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
     return list(kept.values())
 
 
-def _effects_with_residuals(residuals: LinearFit, kept: Sequence[tuple[_EffectTests, int]]) -> FloatArray:
-    """Return M Z c of each effect, (n_rows, n_effects), which takes less time for several than `after_fit`."""
-    absorbed = [tests.absorbed[:, :, tests.numbers[row]] @ tests.coefficients[row] for tests, row in kept]
-    whole = [tests.effects.times(int(tests.numbers[row]), tests.coefficients[row]) for tests, row in kept]
-    return np.asarray(np.stack(whole, axis=1) - residuals.span.times(np.stack(absorbed, axis=1)))
-
-
 def _moments(residuals: LinearFit, some: Sequence[Effects]) -> list[_Moments]:
     """Return the moments of effects; see the module docstring."""
     span = residuals.span
@@ -189,7 +181,8 @@ def _moments(residuals: LinearFit, some: Sequence[Effects]) -> list[_Moments]:
         score, absorbed = moments[0].T, moments[1:]
         if tall:
             absorbed = np.concatenate([np.tensordot(span.root.T, absorbed[:n], 1), absorbed[n:]])
-        result.append(_Moments(effect, square, absorbed, score))
+        left = square - np.einsum("rim,rjm->mij", absorbed, absorbed)
+        result.append(_Moments(effect, square, left, score))
     return result
 
 
@@ -239,12 +232,13 @@ def _tests(residuals: LinearFit, some: Sequence[Effects]) -> list[_EffectTests]:
 
 def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTests]:
     """Test effects with equally many columns, without absorbed ones and those that leave no degree of freedom."""
-    squares, scores = (np.concatenate([getattr(moments, name) for moments in some]) for name in ("squares", "score"))
-    absorbed = np.concatenate([moments.absorbed for moments in some], axis=2)
+    squares, left, scores = (
+        np.concatenate([getattr(moments, name) for moments in some]) for name in ("squares", "left", "score")
+    )
     size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
     shown = np.all(size > 0, axis=1)
     size = np.where(shown[:, None], size, 1.0)
-    left = (squares - np.einsum("rim,rjm->mij", absorbed, absorbed)) / (size[:, :, None] * size[:, None, :])
+    left /= size[:, :, None] * size[:, None, :]
     values, vectors = linalg.eigh(left)
     determined = values > ABSORBED
     score = np.where(determined, np.matmul((scores / size)[:, None, :], vectors)[:, 0], 0.0)
@@ -263,8 +257,7 @@ def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTe
         own = slice(*np.searchsorted(rows, (first, end)).tolist())
         if own.start < own.stop:
             each = (array[own] for array in found)
-            tests = _EffectTests(moments.effects, rows[own] - first, residuals.freedom, *each, moments.absorbed)
-            tested.append(tests)
+            tested.append(_EffectTests(moments.effects, rows[own] - first, residuals.freedom, *each))
     return tested
 
 
@@ -277,8 +270,7 @@ def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: Floa
     if not np.isfinite(residuals.pose_freedom):
         return tests.chance(row)
     columns = tests.effects.columns(int(tests.numbers[row]))
-    absorbed = residuals.span.times(tests.absorbed[:, :, tests.numbers[row]])
-    basis = linalg.orth(columns - absorbed, rcond=np.sqrt(ABSORBED))
+    basis = linalg.orth(residuals.after_fit(columns), rcond=np.sqrt(ABSORBED))
     k, pose = int(tests.ranks[row]), residuals.rows.layout.pose_of_row
     left_over = max(residuals.pose_freedom - k, 1.0)
 

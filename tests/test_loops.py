@@ -8,6 +8,7 @@ import pytest
 from urdf_trees import urdf_of
 
 import calib
+from calib.core.robots import continuation, loops
 from calib.core.robots.closure import residual
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
@@ -215,3 +216,19 @@ def test_poses_closed_from_solutions_of_another_assembly_mode_are_in_that_of_hom
     one = np.where(np.arange(20)[:, None] == 7, mirrored, known)
     for seed in (known, one, mirrored):  # so a fit, which closes its loops from step to step, stays in it
         np.testing.assert_allclose(robot.assemble(q, seed).passive, known, rtol=0, atol=1e-9)
+
+
+def test_a_verdict_closes_no_measured_pose_again(monkeypatch):
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    fit = calib.fit(robot, calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", robot))
+    closed, newton = [], continuation.newton
+
+    def recording(mechanism, mode, actuated, passive, **options):
+        closed.append(actuated)
+        return newton(mechanism, mode, actuated, passive, **options)
+
+    for module in (continuation, loops):
+        monkeypatch.setattr(module, "newton", recording)
+    assert fit.verdict.grade == "PASS"
+    assert closed  # of home
+    assert not any(np.array_equal(q, fit.configurations.actuated) for q in closed)

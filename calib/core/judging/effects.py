@@ -128,7 +128,7 @@ class Waves(Effects):
         return np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
 
     def detail(self, number: int, alike: IntArray, n_tested: int) -> str:
-        """Return the numbers of cycles that explain the residuals as well."""
+        """Return the numbers of cycles of the effects `alike`, (n_alike,), in words; arguments as in `Effects`."""
         first, last = self.orders[alike[0]], self.orders[alike[-1]]
         if first == last or (last - first == len(alike) - 1 and len(alike) < n_tested):
             return f"{'' if first == last else f'{first} to '}{count_noun(last, 'cycle')} {self.unit}"

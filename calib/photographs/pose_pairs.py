@@ -37,7 +37,7 @@ from calib.core.instruments.hand_eye import solve_poses
 from calib.core.instruments.rotations import rotation_vectors
 from calib.core.judging.reasons import Code
 from calib.core.judging.verdict import JudgedFit
-from calib.core.numerics.identifiability import eliminate
+from calib.core.numerics.identifiability import eliminate, reduce_rows
 from calib.core.numerics.null_space import null_groups
 from calib.core.robots.description import validate_description
 from calib.core.robots.loading import build
@@ -143,7 +143,7 @@ def solve_pairs(
     data = as_measurements(robot, joints, {"camera": values}, list(names))
     observed = observe(robot, robot.assemble(data.joints, labels=data.labels), data.readings)["camera"]
     rows = observed.jacobian.reshape(-1, len(robot.parameters))
-    found = determination(rows, robot.parameters, robot.is_free)
+    found = determination(reduce_rows(rows), robot.parameters, robot.is_free)
     dropped = eliminate(found.columns).dropped
     scales = Unknowns.from_robot(robot, np.ones(len(robot.parameters), dtype=bool)).scales
     groups = null_groups(found.columns, dropped, found.lengths * scales)

@@ -28,7 +28,7 @@ from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurement_columns import rank_in_visit
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import Elimination, Rank, eliminate
+from calib.core.numerics.identifiability import Elimination, Rank, eliminate, reduce_rows
 from calib.core.numerics.null_space import UnseenGroup, null_groups
 from calib.core.numerics.observability import Information, TaskIndex, information, observability_of, task_index
 from calib.core.robots.configurations import Configurations
@@ -223,7 +223,7 @@ def check(
     everything = Unknowns.from_robot(robot, outside_families)
     columns, rows, width = _columns(robot, poses, configurations, sigma, everything)
     _require_rows(robot, poses, width)
-    determined = determination(columns / everything.scales, parameters, free)
+    determined = determination(reduce_rows(columns / everything.scales), parameters, free)
     unknowns = Unknowns.chosen_by_poses(robot)
     lengths = determined.lengths * everything.scales  # of columns scaled by sigma: divisors of rows and priors
     priors = unknowns.prior.rows / lengths[free]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadAsArray, ReadOnlyArrays
 from calib.core.base.errors import InputError, nearest
+from calib.core.base.memoize import memoize
 from calib.core.base.units import error_scale
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import Instrument, Part
@@ -67,7 +67,7 @@ class ErrorSet(ReadOnlyArrays):
 
     def _pose_means(self, name: str, errors: FloatArray) -> FloatArray:
         """Means over an instrument's readings of one pose and one pair of frames, in order of first appearance."""
-        first, number = self._repeats[name]
+        first, number = _repeats(self.data)[name]
         if len(first) == len(errors):
             return errors
         total, count = np.zeros((len(first), errors.shape[1])), np.zeros((len(first), errors.shape[1]))
@@ -76,16 +76,6 @@ class ErrorSet(ReadOnlyArrays):
         with np.errstate(invalid="ignore"):
             means: FloatArray = (total / count)[np.argsort(first)]
         return means
-
-    @cached_property
-    def _repeats(self) -> dict[str, tuple[IntArray, IntArray]]:
-        """By instrument, the first reading of each pose and pair of frames, and their number for each reading, (n,)."""
-        result = {}
-        for name, readings in self.data.readings.items():
-            columns = [self.data.pose_numbers[readings.visits], readings.pairs, _pose_numbers(readings.details)]
-            _, first, number = np.unique(np.stack(columns, axis=1), axis=0, return_index=True, return_inverse=True)
-            result[name] = first, number.reshape(-1)
-        return result
 
     @property
     def main_part(self) -> Part:
@@ -134,6 +124,17 @@ class Folds:
     rms: tuple[float, ...]
     converged: bool
     setups: tuple[int, ...] = ()
+
+
+@memoize
+def _repeats(data: Measurements) -> dict[str, tuple[IntArray, IntArray]]:
+    """By instrument, the first reading of each pose and pair of frames, and their number for each reading, (n,)."""
+    result = {}
+    for name, readings in data.readings.items():
+        columns = [data.pose_numbers[readings.visits], readings.pairs, _pose_numbers(readings.details)]
+        _, first, number = np.unique(np.stack(columns, axis=1), axis=0, return_index=True, return_inverse=True)
+        result[name] = first, number.reshape(-1)
+    return result
 
 
 def _pose_numbers(details: FloatArray) -> IntArray:

@@ -173,7 +173,7 @@ def minimum_of(
     begin = reset_unseen(problem, start)
     determined = require_identifiable(problem, begin, alone=nearby.free_alone)  # before the solver
     solved = solve_from(problem, begin, settings, workers, steps.advance)
-    if not keeps_limits(data, solved.evaluation):
+    if not keeps_limits(solved.evaluation):
         solved = solve_from(replace(problem, limits=True), begin, settings, workers, steps.advance)
     steps.advance()
     require_identifiable(problem, solved.evaluation, alone=True)

@@ -15,7 +15,7 @@ from calib.core.data.measurements import Measurements
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
-from calib.core.robots.configurations import close
+from calib.core.robots.loops import are_within_limits
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Condition
 from calib.core.rows.determination import Determination, determination
@@ -27,11 +27,9 @@ _ALONE = 1e-3  # least spread of poses along a direction of joint space, as part
 _LINE = 1e-3  # positions lie on one line if width over length is less
 
 
-def keeps_limits(data: Measurements, final: Evaluation) -> bool:
+def keeps_limits(final: Evaluation) -> bool:
     """Return whether passive joints keep their limits at the end of a fit; they may exceed them on its way."""
-    configurations = final.configurations
-    closed = close(final.robot, data.joints, configurations.passive, configurations.term_columns)
-    return bool(np.all(closed.ok))
+    return bool(np.all(are_within_limits(final.robot.mechanism, final.configurations.passive)))
 
 
 def check_measurements(robot: Robot, data: Measurements) -> None:

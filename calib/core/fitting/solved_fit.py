@@ -17,7 +17,7 @@ from calib.core.numerics.identifiability import Rank
 from calib.core.numerics.losses import Loss
 from calib.core.numerics.statistics import ChiSquare, Statistics, chi_square
 from calib.core.robots.configurations import Configurations
-from calib.core.robots.loops import reached_from_home
+from calib.core.robots.loops import carries_home
 from calib.core.robots.robot import Robot
 from calib.core.rows.determination import Determination
 from calib.core.rows.observed import observe
@@ -195,11 +195,15 @@ class SolvedFit(ReadOnlyArrays):
 
     @cached_property
     def assembles(self) -> bool:
-        """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
-        closed, robot = self.configurations, self.robot
-        if reached_from_home(robot.mechanism, robot.mode, closed.actuated, closed.passive):
+        """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration.
+
+        A fit follows each pose from home at the nominal robot, and closes its loops at every step from there, in the
+        assembly mode of home. So its poses are reached from home if home can be carried over to its robot.
+        """
+        robot, columns = self.robot, self.configurations.term_columns
+        if carries_home(robot.mechanism, robot.mode):
             return True
-        return bool(np.all(robot.close(self.identification.data.joints, columns=closed.term_columns).ok))
+        return bool(np.all(robot.close(self.identification.data.joints, columns=columns).ok))
 
     @cached_property
     def joint_derivative(self) -> dict[str, FloatArray]:

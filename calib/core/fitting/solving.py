@@ -131,11 +131,10 @@ def reset_unseen(problem: Problem, placed: Evaluation) -> Evaluation:
 def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
     """Scales of all groups, stated or not, from the residuals of placing."""
     flat, group = problem.whitening.flatten(evaluation.residuals), problem.whitening.layout.group
-    places = problem.unknowns.select(problem.unknowns.placement)
-    result = groups.copy()
+    n_places, result = int(np.sum(problem.unknowns.placement)), groups.copy()
     for g in range(len(result)):
         rows = group == g
-        left = max(int(np.sum(rows)) - len(places), 1)
+        left = max(int(np.sum(rows)) - n_places, 1)
         result[g] = np.sqrt(float(flat[rows] @ flat[rows]) / left) + EXACT
     return result
 

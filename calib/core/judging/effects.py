@@ -63,8 +63,8 @@ class Effects:
         name: Its axis, joint, target or instrument; `xyz` for all axes.
         base: B, change of the whitened rows, (n_rows, b).
         visit: Visit of each row, (n_rows,).
+        by_visit: F of each effect at each visit, (n_visits, f, n_effects).
         details: Detail of each effect, as in `Pattern`.
-        by_visit: F of each effect at each visit, (n_visits, n_effects, f); None: one effect, and F is 1.
         group: The group whose readings it changes; None: that of the positions.
     """
 
@@ -72,17 +72,27 @@ class Effects:
     name: str
     base: FloatArray
     visit: IntArray
+    by_visit: FloatArray
     details: Sequence[str] = ("",)
-    by_visit: FloatArray | None = None
     group: int | None = None
 
     def factors(self, visits: IntArray) -> FloatArray:
-        """Return F of every effect at visits (n,), (n, n_effects, f)."""
-        return np.ones((len(visits), 1, 1)) if self.by_visit is None else self.by_visit[visits]
+        """Return F of every effect at visits (n,), (n, f, n_effects)."""
+        return self.by_visit[visits]
 
     def factors_of(self, number: int) -> FloatArray:
         """Return F of one effect at all visits, (n_visits, f)."""
-        return np.ones((int(np.max(self.visit)) + 1, 1)) if self.by_visit is None else self.by_visit[:, number]
+        return self.by_visit[:, :, number]
+
+    def detail(self, number: int, alike: IntArray, n_tested: int) -> str:
+        """Return the detail of an effect.
+
+        Args:
+            number: The effect.
+            alike: Effects that explain the residuals as well, and this one, in rising order, (n_alike,).
+            n_tested: Number of effects that were tested.
+        """
+        return self.details[number]
 
     def columns(self, number: int) -> FloatArray:
         """Return all columns of one effect, (n_rows, b f)."""
@@ -97,25 +107,32 @@ class Effects:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Waves(Effects):
-    """The waves of one joint: cosine and sine of each of `orders` times a phase.
+    """The waves of one joint: cosine and sine of each of `orders` times a phase, `by_visit` (n_visits, 1, 1) [rad].
 
     Attributes:
-        phase: Phase of the first order at each visit, (n_visits,) [rad].
         orders: Cycles of each effect.
+        unit: What the cycles are counted in.
     """
 
-    phase: FloatArray
     orders: range
+    unit: str
 
     def factors(self, visits: IntArray) -> FloatArray:
-        """Return cosine and sine of every order at visits (n,), (n, n_orders, 2)."""
-        waves = powers(np.exp(1j * self.phase[visits]), self.orders.stop - 1)
-        return waves.view(float).reshape(len(visits), -1, 2)[:, self.orders.start - 1 :]
+        """Return cosine and sine of every order at visits (n,), (n, 2, n_orders)."""
+        waves = powers(np.exp(1j * self.by_visit[visits, 0, 0]), self.orders.stop - 1)[:, self.orders.start - 1 :]
+        return np.stack([waves.real, waves.imag], axis=1)
 
     def factors_of(self, number: int) -> FloatArray:
         """Return cosine and sine of one order at all visits, (n_visits, 2)."""
-        angle = self.orders[number] * self.phase
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        angle = self.orders[number] * self.by_visit[:, 0]
+        return np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+
+    def detail(self, number: int, alike: IntArray, n_tested: int) -> str:
+        """Return the numbers of cycles of the effects `alike`, (n_alike,), in words; arguments as in `Effects`."""
+        first, last = self.orders[alike[0]], self.orders[alike[-1]]
+        if first == last or (last - first == len(alike) - 1 and len(alike) < n_tested):
+            return f"{'' if first == last else f'{first} to '}{count_noun(last, 'cycle')} {self.unit}"
+        return f"a number of cycles {self.unit} that these poses do not determine"
 
 
 def powers(turned: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
@@ -160,23 +177,23 @@ def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
     groups, visit = setting.fit.whitening.groups, setting.visit
     read = np.array([group.part.is_position or group.part.is_distance for group in groups])  # lengths themselves
     lengths = scales(setting)[:, :1] * read[setting.fit.whitening.layout.group][:, None]
+    always, in_course = _always(setting), _curves(setting.course[:, None])
     for axis, name in enumerate("xyz"):
-        yield Effects(Kind.AXIS, name, shifts[:, axis : axis + 1], visit)
-    in_course = _curves(setting.course)
-    yield Effects(Kind.DRIFT, "xyz", shifts, visit, by_visit=in_course)
-    yield Effects(Kind.TURN, "xyz", turns, visit)
-    yield Effects(Kind.TURNING, "xyz", turns, visit, by_visit=in_course)
-    yield Effects(Kind.SCALE, "xyz", lengths, visit)
-    yield Effects(Kind.GROWTH, "xyz", lengths, visit, by_visit=in_course)
+        yield Effects(Kind.AXIS, name, shifts[:, axis : axis + 1], visit, always)
+    yield Effects(Kind.DRIFT, "xyz", shifts, visit, in_course)
+    yield Effects(Kind.TURN, "xyz", turns, visit, always)
+    yield Effects(Kind.TURNING, "xyz", turns, visit, in_course)
+    yield Effects(Kind.SCALE, "xyz", lengths, visit, always)
+    yield Effects(Kind.GROWTH, "xyz", lengths, visit, in_course)
 
 
 def _instrument_effects(setting: EffectSetting) -> Iterator[Effects]:
     """Constants in the readings of each instrument, and what it reads too large by a factor."""
-    scaled = own_scales(setting)
+    scaled, visit, always = own_scales(setting), setting.visit, _always(setting)
     for name, group, columns in constants(setting):
-        yield Effects(Kind.OFFSET, name, columns, setting.visit, group=group)
+        yield Effects(Kind.OFFSET, name, columns, visit, always, group=group)
         if (name, group) in scaled:
-            yield Effects(Kind.FACTOR, name, scaled[name, group], setting.visit, group=group)
+            yield Effects(Kind.FACTOR, name, scaled[name, group], visit, always, group=group)
 
 
 def _target_effects(setting: EffectSetting) -> Iterator[Effects]:
@@ -185,40 +202,45 @@ def _target_effects(setting: EffectSetting) -> Iterator[Effects]:
     rank = np.empty(len(order), dtype=np.intp)
     rank[order] = np.arange(len(order))
     firsts = np.unique(np.linspace(0, len(order), SLIPS + 2)[1:-1].astype(np.intp))
-    late = (rank[:, None] >= firsts).astype(float)[:, :, None]
+    late = (rank[:, None] >= firsts).astype(float)[:, None]
     slips = [f"from {setting.data.labels[order[first]]} on" for first in firsts]
     for target, (own, *others) in moved_targets(setting).items():
         for joint, moved in zip(other_joints(setting.fit.robot, target), others, strict=True):
             before = setting.fit.robot.mechanism.origin_names[joint - 1]
-            yield Effects(Kind.LINK, target, moved, setting.visit, (before,))
-        yield Effects(Kind.SLIP, target, own, setting.visit, slips, late)
+            yield Effects(Kind.LINK, target, moved, setting.visit, _always(setting), (before,))
+        yield Effects(Kind.SLIP, target, own, setting.visit, late, slips)
 
 
 def _joint_effects(setting: EffectSetting) -> Iterator[Effects]:
     robot, data, visit = setting.fit.robot, setting.data, setting.visit
-    names, in_course, directions = robot.joint_names, _curves(setting.course), data.approach_directions
+    names, curves, in_course = robot.joint_names, _curves(data.joints), _curves(setting.course[:, None])
     still = unmoved_joints(robot, data.joints)
     for j, name in enumerate(names):
         if name in still:
             continue
         column, q = setting.joint_columns[:, j : j + 1], data.joints[:, j]
-        yield Effects(Kind.JOINT, name, column, visit, by_visit=_curves(q))
-        yield Effects(Kind.APPROACH, name, column, visit, by_visit=directions[:, j, None, None])
-        yield Effects(Kind.ZERO, name, column, visit, by_visit=in_course)
+        yield Effects(Kind.JOINT, name, column, visit, curves[:, :, j : j + 1])
+        yield Effects(Kind.APPROACH, name, column, visit, data.approach_directions[:, j, None, None])
+        yield Effects(Kind.ZERO, name, column, visit, in_course)
         drivers = [k for k in (j - 1, j + 1) if 0 <= k < len(names) and names[k] not in still]
         if drivers:
-            driving = (np.mean(data.joints, axis=0) - data.joints)[:, drivers, None]
-            yield Effects(Kind.COUPLING, name, column, visit, [names[k] for k in drivers], driving)
+            driving = (np.mean(data.joints, axis=0) - data.joints)[:, None, drivers]
+            yield Effects(Kind.COUPLING, name, column, visit, driving, [names[k] for k in drivers])
         turns = robot.mechanism.dimensions[name] == "angle"
         unit = "a turn" if turns else "over the range measured"
         phase = q if turns else q * (TURN / float(np.ptp(q)))
         orders = wave_orders(phase)
         if orders:
-            details = [f"{count_noun(order, 'cycle')} {unit}" for order in orders]
-            yield Waves(Kind.WAVE, name, column, visit, details, phase=phase, orders=orders)
+            yield Waves(Kind.WAVE, name, column, visit, phase[:, None, None], orders=orders, unit=unit)
+
+
+def _always(setting: EffectSetting) -> FloatArray:
+    """Factors of one effect that is the same at all visits, (n_visits, 1, 1)."""
+    return np.ones((len(setting.data), 1, 1))
 
 
 def _curves(values: FloatArray) -> FloatArray:
-    """Legendre polynomials of degree 1 to 3 over the range of some values (n,), as factors of one effect, (n, 1, 3)."""
-    x = 2 * (values - values.min()) / (float(np.ptp(values)) or 1.0) - 1
-    return np.stack([x, (3 * x**2 - 1) / 2, (5 * x**3 - 3 * x) / 2], axis=1)[:, None]
+    """Legendre polynomials of degree 1 to 3 over the ranges of values (n, k), as factors of k effects, (n, 3, k)."""
+    reach = np.ptp(values, axis=0)
+    x = 2 * (values - values.min(axis=0)) / np.where(reach > 0, reach, 1.0) - 1
+    return np.stack([x, (3 * x**2 - 1) / 2, (5 * x**3 - 3 * x) / 2], axis=1)

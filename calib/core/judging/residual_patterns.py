@@ -34,7 +34,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement, groupby
+from itertools import combinations_with_replacement
 
 import numpy as np
 import scipy
@@ -61,13 +61,13 @@ class _Moments:
 
     Attributes:
         squares: Z^T Z, (m, k, k).
-        absorbed: (J T)^T Z, (m, rank, k).
+        left: Z^T M Z, (m, k, k).
         score: Z^T r, (m, k).
     """
 
     effects: Effects
     squares: FloatArray
-    absorbed: FloatArray
+    left: FloatArray
     score: FloatArray
 
 
@@ -78,26 +78,34 @@ class _EffectTests:
     Attributes:
         effects: Effects of one kind and name.
         numbers: Their numbers, (m,).
-        p_values: Chance of such a gain if readings are independent, (m,).
+        freedom: Degrees of freedom of the residuals.
         ratios: F of the module docstring, (m,).
         ranks: Columns left after M, (m,).
         gains: Decrease of |r|^2, (m,).
         coefficients: c, (m, k).
-        absorbed: (J T)^T Z, (m, rank, k).
     """
 
     effects: Effects
     numbers: IntArray
-    p_values: FloatArray
+    freedom: float
     ratios: FloatArray
     ranks: IntArray
     gains: FloatArray
     coefficients: FloatArray
-    absorbed: FloatArray
 
+    def chance(self, row: int) -> float:
+        """Return the chance of such a gain if readings are independent."""
+        return float(scipy.special.fdtrc(self.ranks[row], self.freedom - self.ranks[row], self.ratios[row]))
+
+    def significance(self, row: int) -> tuple[float, float]:
+        """Return the chance and, for equal ones, the negative gain: the least is the most significant."""
+        return self.chance(row), -float(self.gains[row])
+
+    @property
     def best(self) -> int:
-        """Return the row of the most significant effect, with the largest gain among equals."""
-        return int(np.lexsort((-self.gains, self.p_values))[0])
+        """The row of the most significant effect; among equally many columns, it has the largest gain."""
+        largest = [int(np.argmax(np.where(self.ranks == k, self.gains, -1.0))) for k in set(self.ranks.tolist())]
+        return min(largest, key=self.significance)
 
     def detail(self, row: int, margin: float) -> str:
         """Return the detail of an effect; for a wave all numbers of cycles that explain the residuals as well.
@@ -106,17 +114,8 @@ class _EffectTests:
             row: The effect.
             margin: Difference of gains in |r|^2 that noise could have caused.
         """
-        details = self.effects.details
-        detail = details[self.numbers[row]]
-        if self.effects.kind is not Kind.WAVE:
-            return detail
         alike = self.numbers[self.gains > self.gains[row] - margin]
-        if len(alike) < 2:
-            return detail
-        first, unit = details[alike[0]].split(" ")[0], details[alike[-1]].partition(" ")[2]
-        if alike[-1] - alike[0] == len(alike) - 1 and len(alike) < len(self.numbers):
-            return f"{first} to {details[alike[-1]]}"
-        return f"a number of {unit} that these poses do not determine"
+        return self.effects.detail(int(self.numbers[row]), alike, len(self.numbers))
 
 
 def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind] = tuple(Kind)) -> tuple[Pattern, ...]:
@@ -131,7 +130,8 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
     noise = setting.sizes(np.full((len(residuals.span), 1), residuals.factor))[:, 0]
     result = []
     for part in slices(len(kept), max(_NUMBERS_AT_ONCE // len(residuals.span), 1)):
-        explained = _effects_with_residuals(residuals, kept[part])
+        whole = [tests.effects.times(int(tests.numbers[row]), tests.coefficients[row]) for tests, row in kept[part]]
+        explained = residuals.after_fit(np.stack(whole, axis=1))
         for (tests, row), column, sizes in zip(kept[part], explained.T, setting.sizes(explained).T, strict=True):
             group = setting.first if tests.effects.group is None else tests.effects.group
             size, dimension = float(sizes[group]), setting.fit.whitening.groups[group].part.dimension
@@ -153,59 +153,46 @@ def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
         if Trait.BY_THE_DOZEN not in kind.traits:
             kept |= {(kind, name, len(kept) + row): (tests, row) for row in range(len(tests.numbers))}
             continue
-        row, (other, best) = tests.best(), kept.get((kind, name, -1), (None, 0))
-        new = tests.p_values[row], -tests.gains[row]
-        if other is None or new < (other.p_values[best], -other.gains[best]):
-            kept[kind, name, -1] = tests, row
+        others = [kept[kind, name, -1]] if (kind, name, -1) in kept else []
+        kept[kind, name, -1] = min([*others, (tests, tests.best)], key=lambda of: of[0].significance(of[1]))
     return list(kept.values())
 
 
-def _effects_with_residuals(residuals: LinearFit, kept: Sequence[tuple[_EffectTests, int]]) -> FloatArray:
-    """Return M Z c of each effect, (n_rows, n_effects), which takes less time for several than `after_fit`."""
-    absorbed = np.stack([tests.absorbed[row] @ tests.coefficients[row] for tests, row in kept], axis=1)
-    whole = [tests.effects.times(int(tests.numbers[row]), tests.coefficients[row]) for tests, row in kept]
-    return np.asarray(np.stack(whole, axis=1) - residuals.span.times(absorbed))
-
-
-def _moments(residuals: LinearFit, some: list[Effects]) -> Iterator[_Moments]:
-    """Yield the moments of effects with one base; see the module docstring."""
-    base, span = some[0].base, residuals.span
-    tall = len(span) > KEPT  # then J T is not stored: it is computed from sums over rows
+def _moments(residuals: LinearFit, some: Sequence[Effects]) -> list[_Moments]:
+    """Return the moments of effects; see the module docstring."""
+    span = residuals.span
+    tall, n = len(span) > KEPT, len(span.root)  # then J T is not stored: it is computed from sums over rows
     known = [span[:]] if not tall else [span.jacobian] if span.more is None else [span.jacobian, span.more]
-    others = [base, residuals.rows.residuals[:, None], *known]
-    b, n, width = base.shape[1], len(span.root), sum(other.shape[1] for other in others)
-    shapes = [effect.factors(some[0].visit[:1]).shape[1:] for effect in some]
-    squares = [np.zeros((m, b * f, b * f)) for m, f in shapes]
-    products = np.zeros((b, width, sum(m * f for m, f in shapes)))
-    constant = len(some) == 1 and type(some[0]) is Effects and some[0].by_visit is None
-    if constant:  # no sums of visits: several times as fast
-        squares[0] += base.T @ base
-        products += np.hstack([base.T @ other for other in others])[:, :, None]
-    for rows, firsts, visits in () if constant else _visits_together(some[0].visit):
-        sums = _sums_of_visits(base[rows], [other[rows] for other in others], firsts)
-        factors = [effect.factors(visits) for effect in some]
-        for square, each in zip(squares, factors, strict=True):
-            square += _squares(sums[:, :, :b], each)
-        columns = np.hstack([each.reshape(len(visits), -1) for each in factors])
-        products += (sums.reshape(len(visits), -1).T @ columns).reshape(products.shape)
-    first = 0
-    for effect, square, (m, f) in zip(some, squares, shapes, strict=True):
-        each = products[:, b:, first : first + m * f].reshape(b, width - b, m, f)
-        own, first = each.transpose(2, 1, 0, 3).reshape(m, width - b, b * f), first + m * f
-        score, absorbed = own[:, 0], own[:, 1:]
+    squares: list[FloatArray] = [np.zeros(1)] * len(some)
+    products: list[FloatArray] = [np.zeros(1)] * len(some)
+    for rows, firsts, visits in _visits_together(some[0].visit) if some else ():
+        others, sums = np.hstack([residuals.rows.residuals[rows, None], *(other[rows] for other in known)]), {}
+        for k, effect in enumerate(some):
+            base, factors = effect.base[rows], effect.factors(visits)
+            if id(effect.base) not in sums:
+                sums[id(effect.base)] = _sums_of_visits(base, base, firsts), _sums_of_visits(base, others, firsts)
+            own, further = sums[id(effect.base)]
+            squares[k] = squares[k] + _squares(own, factors)
+            each = further.reshape(len(visits), -1).T @ factors.reshape(len(visits), -1)
+            products[k] = products[k] + each.reshape(*further.shape[1:], *factors.shape[1:])
+    result = []
+    for effect, square, product in zip(some, squares, products, strict=True):
+        moments = product.swapaxes(0, 1).reshape(-1, square.shape[1], len(square))
+        score, absorbed = moments[0].T, moments[1:]
         if tall:
-            absorbed = np.concatenate([span.root.T @ absorbed[:, :n], absorbed[:, n:]], axis=1)
-        yield _Moments(effect, square, absorbed, score)
+            absorbed = np.concatenate([np.tensordot(span.root.T, absorbed[:n], 1), absorbed[n:]])
+        left = square - np.einsum("rim,rjm->mij", absorbed, absorbed)
+        result.append(_Moments(effect, square, left, score))
+    return result
 
 
 def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:
-    """Return Z^T Z of each effect, (m, b f, b f), from B^T B of visits (n, b, b) and factors (n, m, f)."""
-    (n, m, f), b = factors.shape, sums.shape[1]
-    flat, whole = sums.reshape(n, -1).T, np.empty((b, b, m, f, f))
+    """Return Z^T Z of each effect, (m, b f, b f), from B^T B of visits (n, b, b) and factors (n, f, m)."""
+    (n, f, m), b = factors.shape, sums.shape[1]
+    flat, whole = sums.reshape(n, -1).T, np.empty((b, b, f, f, m))
     for i, j in combinations_with_replacement(range(f), 2):
-        whole[..., i, j] = (flat @ (factors[:, :, i] * factors[:, :, j])).reshape(b, b, m)
-        whole[..., j, i] = whole[..., i, j]
-    return whole.transpose(2, 0, 3, 1, 4).reshape(m, b * f, b * f)
+        whole[:, :, i, j] = whole[:, :, j, i] = (flat @ (factors[:, i] * factors[:, j])).reshape(b, b, m)
+    return whole.transpose(4, 0, 2, 1, 3).reshape(m, b * f, b * f)
 
 
 def _visits_together(visit: IntArray) -> Iterator[tuple[IntArray | slice, IntArray, IntArray]]:
@@ -220,40 +207,38 @@ def _visits_together(visit: IntArray) -> Iterator[tuple[IntArray | slice, IntArr
         yield rows if order is None else order[rows], some - some[0], arranged[some]
 
 
-def _sums_of_visits(base: FloatArray, others: list[FloatArray], firsts: IntArray) -> FloatArray:
+def _sums_of_visits(base: FloatArray, others: FloatArray, firsts: IntArray) -> FloatArray:
     """Return B^T times others, summed over the rows of each visit, (n_visits, b, k).
 
     Args:
         base: B of rows of visits, one visit after the other, (n, b).
-        others: Arrays of these rows, (n, ...) each, k columns together.
+        others: Columns of these rows, (n, k).
         firsts: First row of each visit, (n_visits,).
     """
     n_visits, length = len(firsts), len(base) // len(firsts)
     if n_visits * length == len(base) and np.array_equal(firsts, length * np.arange(n_visits)):
         each = base.reshape(n_visits, length, -1).transpose(0, 2, 1)  # without the products: a tenth of the time
-        return np.concatenate([np.matmul(each, other.reshape(n_visits, length, -1)) for other in others], axis=2)
-    return np.asarray(np.add.reduceat(base[:, :, None] * np.hstack(others)[:, None, :], firsts))
+        return np.matmul(each, others.reshape(n_visits, length, -1))
+    return np.asarray(np.add.reduceat(base[:, :, None] * others[:, None, :], firsts))
 
 
-def _tests(residuals: LinearFit, some: list[Effects]) -> list[_EffectTests]:
-    """Test the visible effects, all with equally many columns at once; those of one base stand together."""
-    groups = [list(members) for _, members in groupby(some, key=lambda effect: id(effect.base))]
+def _tests(residuals: LinearFit, some: Sequence[Effects]) -> list[_EffectTests]:
+    """Test the visible effects, all with equally many columns at once."""
     by_width: dict[int, list[_Moments]] = {}
-    for moments in (moments for group in groups for moments in _moments(residuals, group)):
+    for moments in _moments(residuals, some):
         by_width.setdefault(moments.score.shape[1], []).append(moments)
     return [tests for alike in by_width.values() for tests in _tests_at_once(residuals, alike)]
 
 
 def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTests]:
     """Test effects with equally many columns, without absorbed ones and those that leave no degree of freedom."""
-    squares, inside, scores = (
-        np.concatenate([getattr(moments, name) for moments in some]) for name in ("squares", "absorbed", "score")
+    squares, left, scores = (
+        np.concatenate([getattr(moments, name) for moments in some]) for name in ("squares", "left", "score")
     )
     size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
     shown = np.all(size > 0, axis=1)
     size = np.where(shown[:, None], size, 1.0)
-    absorbed = inside / size[:, None, :]
-    left = squares / (size[:, :, None] * size[:, None, :]) - np.matmul(absorbed.transpose(0, 2, 1), absorbed)
+    left /= size[:, :, None] * size[:, None, :]
     values, vectors = linalg.eigh(left)
     determined = values > ABSORBED
     score = np.where(determined, np.matmul((scores / size)[:, None, :], vectors)[:, 0], 0.0)
@@ -264,14 +249,15 @@ def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTe
     k, freedom_left, gains = k[rows], residuals.freedom - k[rows], gains[rows]
     rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / freedom_left
     ratios = np.maximum(gains / k / rest, 0.0)
-    found = (scipy.special.fdtrc(k, freedom_left, ratios), ratios, k, gains, coefficients[rows], inside[rows])
+    found = ratios, k, gains, coefficients[rows]
     ends = np.cumsum([len(moments.score) for moments in some])
     tested = []
     for moments, end in zip(some, ends.tolist(), strict=True):
         first = end - len(moments.score)
         own = slice(*np.searchsorted(rows, (first, end)).tolist())
         if own.start < own.stop:
-            tested.append(_EffectTests(moments.effects, rows[own] - first, *(array[own] for array in found)))
+            each = (array[own] for array in found)
+            tested.append(_EffectTests(moments.effects, rows[own] - first, residuals.freedom, *each))
     return tested
 
 
@@ -282,9 +268,9 @@ def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: Floa
     `explained` is M Z c of the effect, (n_rows,), and `limit` the chance below which it is a finding.
     """
     if not np.isfinite(residuals.pose_freedom):
-        return float(tests.p_values[row])
+        return tests.chance(row)
     columns = tests.effects.columns(int(tests.numbers[row]))
-    basis = linalg.orth(columns - residuals.span.times(tests.absorbed[row]), rcond=np.sqrt(ABSORBED))
+    basis = linalg.orth(residuals.after_fit(columns), rcond=np.sqrt(ABSORBED))
     k, pose = int(tests.ranks[row]), residuals.rows.layout.pose_of_row
     left_over = max(residuals.pose_freedom - k, 1.0)
 

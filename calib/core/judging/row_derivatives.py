@@ -277,20 +277,16 @@ def moved_targets(setting: EffectSetting) -> dict[str, list[FloatArray]]:
 
 def _moved_target(setting: EffectSetting, target: str) -> list[FloatArray]:
     """Return the entry of a target in `moved_targets`."""
-    robot, all_readings = setting.fit.robot, setting.data.readings
-    seen = [(name, rows, robot.pairs[name]) for name, own, rows in seen_targets(setting) if own == target]
-    links = [None, *other_joints(robot, target)]
-    frame_pairs = [
-        pair if link is None else replace(pair, b=link) for link in links for _, _, pairs in seen for pair in pairs
-    ]
-    poses = iter(relative_poses(robot.mechanism, setting.fit.configurations, tuple(frame_pairs)))
-    changes = []
-    for _ in links:
-        result: dict[str, FloatArray] = {
-            name: np.zeros((len(readings), robot.instrument(name).n_rows, 3)) for name, readings in all_readings.items()
-        }
-        for name, rows, pairs in seen:
-            readings, turned = all_readings[name], np.stack([next(poses) for _ in pairs])[..., :3, :3]
-            result[name][:, rows] = -turned[readings.pairs, readings.visits]
-        changes.append(setting.whiten(result))
-    return changes
+    robot, links = setting.fit.robot, [None, *other_joints(setting.fit.robot, target)]
+    result: dict[str, FloatArray] = {
+        name: np.zeros((len(readings), robot.instrument(name).n_rows, 3 * len(links)))
+        for name, readings in setting.data.readings.items()
+    }
+    for name, own, rows in seen_targets(setting):
+        if own == target:
+            readings, pairs = setting.data.readings[name], robot.pairs[name]
+            behind = tuple(pair if link is None else replace(pair, b=link) for link in links for pair in pairs)
+            poses = relative_poses(robot.mechanism, setting.fit.configurations, behind)
+            turned = poses.reshape(len(links), len(pairs), -1, 4, 4)[:, readings.pairs, readings.visits, :3, :3]
+            result[name][:, rows] = -turned.transpose(1, 2, 0, 3).reshape(len(readings), 3, -1)
+    return np.split(setting.whiten(result), len(links), axis=1)

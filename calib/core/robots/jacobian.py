@@ -101,16 +101,16 @@ def origin_jacobian(
 
 
 def sweeps(
-    mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
+    mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...], *, loops: bool = True
 ) -> Iterator[tuple[slice, kinematics.Sweep]]:
-    """Yield chunks of assembled poses and their kinematics, for these pairs of frames and the loops."""
+    """Yield chunks of assembled poses and their kinematics, for these pairs of frames and, for derivatives, `loops`."""
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
-    needed = pairs + mechanism.loops
+    needed = pairs + mechanism.loops if loops else pairs
     functions = kernels(mechanism, len(joints))
     shared = kinematics.SweepCache(mechanism, needed, functions)
     if functions is None:
         for part in kinematics.chunks(len(joints), kinematics.n_at_once(shared.reduced)):
-            yield part, kinematics.sweep(mechanism, joints[part], needed, shared, poses_only=not mechanism.loops)
+            yield part, kinematics.sweep(mechanism, joints[part], needed, shared, poses_only=needed == pairs)
     else:
         for start in range(0, len(joints), _CHUNK_COMPILED):
             part = slice(start, min(start + _CHUNK_COMPILED, len(joints)))
@@ -122,7 +122,7 @@ def relative_poses(
 ) -> FloatArray:
     """Return the poses of frames b in frames a at assembled poses, (n_pairs, n, 4, 4) [m]."""
     poses = np.empty((len(pairs), len(configurations.actuated), 4, 4))
-    for part, swept in sweeps(mechanism, configurations, pairs):
+    for part, swept in sweeps(mechanism, configurations, pairs, loops=False):
         for pair, to in zip(pairs, poses, strict=True):
             to[part] = kinematics.relative_pose(swept, pair)
     return poses

@@ -42,7 +42,6 @@ from calib.core.robots.mechanism import Mechanism
 LIMIT_MARGIN = 1e-9
 """How far beyond its limit a passive joint may be [m, rad]."""
 _OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from the nominal one
-_SAME_SOLUTION = 1e-6  # difference of passive joints [rad, or characteristic lengths]
 _CLOSED = 1e-6  # the search for the smallest gap ends a few nanometres from closed [m or rad]
 
 
@@ -109,20 +108,9 @@ def close(
     return LoopSolution(passive, ok, slope)
 
 
-def reached_from_home(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray) -> bool:
-    """Whether the loops close at home and at poses (n, n_actuated), (n, n_passive), all in the assembly mode of home.
-
-    A fit follows each pose from home at the nominal robot, and closes its loops at every step from there. So its poses
-    are reached from home if they are in the mode of home still, and if home can be carried over to its robot.
-    """
-    if not mechanism.loops:
-        return True
-    if not carry(mechanism, mode, mode.actuated[None], mode.passive[None])[2][0]:
-        return False
-    arrived, _, _, ok = newton(mechanism, mode, actuated, passive, slopes=False)
-    apart = (wrap_turns(mechanism, mode, arrived) - passive) / mechanism.passive_scale
-    stays = np.max(np.abs(apart), initial=0.0) < _SAME_SOLUTION
-    return bool(np.all(ok) and stays and np.all(are_within_limits(mechanism, passive)))
+def carries_home(mechanism: Mechanism, mode: AssemblyMode) -> bool:
+    """Return whether home can be carried over to the origins of `mechanism`, and closes there in its assembly mode."""
+    return not mechanism.loops or bool(carry(mechanism, mode, mode.actuated[None], mode.passive[None])[2][0])
 
 
 def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:

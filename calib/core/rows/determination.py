@@ -16,7 +16,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.parameter import Parameter
 from calib.core.base.words import sentence
-from calib.core.numerics.identifiability import Rank, numerical_rank, reduce_rows, unit_columns
+from calib.core.numerics.identifiability import Rank, numerical_rank, unit_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +85,10 @@ def determination(columns: FloatArray, parameters: Sequence[Parameter], free: Bo
     """Return the ranks of the derivatives of measured coordinates.
 
     Args:
-        columns: d(coordinates)/d(parameters), not scaled, (n_rows, n_parameters) [m per m or rad].
+        columns: d(coordinates)/d(parameters), not scaled, or their triangular factor, (n_rows, n_parameters)
+            [m per m or rad].
         free: Mask of the parameters that are not held, (n_parameters,).
     """
     unit, lengths = unit_columns(columns)
     has_prior = np.array([p.prior for p, use in zip(parameters, free, strict=True) if use], dtype=bool)
-    return Determination(reduce_rows(unit), lengths, free, has_prior)
+    return Determination(unit, lengths, free, has_prior)

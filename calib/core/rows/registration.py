@@ -140,7 +140,8 @@ def _place(
 
 
 def _with_values(robot: Robot, values: dict[str, float]) -> Robot:
-    return robot.with_parameters({name: value for name, value in values.items() if name not in robot.description.held})
+    free = {name: value for name, value in values.items() if name not in robot.description.held}
+    return robot.with_parameters(free) if free else robot
 
 
 def _registration(

@@ -124,6 +124,27 @@ def test_the_legends_have_marks_of_their_own(report):
     assert legend.locator("path").last.evaluate("(path) => getComputedStyle(path).stroke") == "rgb(204, 13, 89)"
 
 
+ORDER = """if (window !== top) {
+  let drawn = 0;
+  const { clear } = WebGL2RenderingContext.prototype;
+  WebGL2RenderingContext.prototype.clear = function counted(mask) { drawn += 1; clear.call(this, mask); };
+  new MutationObserver(() => {
+    if (!top.atFirst && document.body?.dataset.shown) top.atFirst = [drawn, top.document.querySelectorAll("[data-drawn]").length];
+  }).observe(document, { subtree: true, attributes: true });
+}"""
+
+
+def test_the_robot_is_drawn_once_and_seen_with_the_plots_of_the_window(chromium, report_file):
+    """Without a graphics card each picture takes a tenth of a second, in which plots would wait."""
+    tab = Tab(chromium, size=(1400, 900))
+    tab.page.add_init_script(ORDER)
+    tab.open(report_file.as_uri())
+    pictures, plots = tab.page.evaluate("window.atFirst")
+    tab.context.close()
+    assert pictures == 1
+    assert plots >= 1
+
+
 def test_nothing_of_a_plot_is_cut(report):
     tab = report(390, 844)
     tab.page.evaluate("calibrationReport.all()")

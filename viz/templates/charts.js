@@ -389,9 +389,13 @@ class Space {
     }
     document.getElementById("turn").addEventListener("click", (event) => { event.target.hidden = true; });
     document.getElementById("turn").hidden = !TOUCH;
-    if (this.viewer.sameScale()) page.getElementById("same-scale").click(); // what is left has colours of its own
-    document.querySelectorAll("[data-press]").forEach((button) => button.dispatchEvent(new Event("shown")));
-    document.body.dataset.space = "true";
+  }
+
+  /** Show what is drawn; some browsers have dropped it, so that it is drawn again. */
+  async show() {
+    this.frame.contentDocument.body.dataset.shown = "true";
+    await breath(10 * FRAME);
+    if (this.viewer.stage) this.viewer.stage.redraw();
   }
 
   /** Keep the picture for paper. */
@@ -413,6 +417,11 @@ async function startReport() {
     await run("bokeh");
     await run("bokeh-api");
     Bokeh.set_log_level("error");
+  }
+  try {
+    for (const chart of drawn.filter(({ grid }) => grid.getBoundingClientRect().top < window.innerHeight)) await chart.draw();
+  } finally {
+    if (space) space.show();
   }
   let last = Promise.resolve();
   const inTurn = (work) => { last = last.finally(work).finally(() => breath(FRAME)); return last; };

@@ -26,7 +26,7 @@ class Controls {
     this.applyState();
     this.applyVisibility();
     this.go(0);
-    this.resetCamera(); // now that the legend has its size
+    if (this.stage) this.stage.begin();
   }
 
   /** The 3D stage; null where the browser has no WebGL: the numbers work without it. */

@@ -129,7 +129,8 @@ ORDER = """if (window !== top) {
   const { clear } = WebGL2RenderingContext.prototype;
   WebGL2RenderingContext.prototype.clear = function counted(mask) { drawn += 1; clear.call(this, mask); };
   new MutationObserver(() => {
-    if (!top.atFirst && document.body?.dataset.shown) top.atFirst = [drawn, top.document.querySelectorAll("[data-drawn]").length];
+    const plots = top.document.querySelectorAll("[data-drawn]");
+    if (!top.atFirst && document.body?.dataset.shown) top.atFirst = [drawn, plots.length];
   }).observe(document, { subtree: true, attributes: true });
 }"""
 

@@ -140,7 +140,7 @@ class Chart {
       const place = this.grid.children[k];
       const figure = this.figure(panel, place.clientWidth);
       place.replaceChildren();
-      place.addEventListener("pointermove", () => { figure.toolbar.buttons = "auto"; }, { once: true });
+      place.addEventListener(TOUCH ? "pointerdown" : "pointermove", () => { figure.toolbar.buttons = "auto"; }, { once: true });
       const view = await Bokeh.Plotting.show(figure, place);
       const { primary } = view.canvas_view;
       primary.clear = () => primary.ctx.clearRect(-1, -1, primary.bbox.width + 2, primary.bbox.height + 2); // Bokeh leaves half a pixel
@@ -218,7 +218,7 @@ class Chart {
     figure.add_tools(new Bokeh.HoverTool({ renderers: hovered, tooltips: "<div style='max-width: 260px; white-space: normal'>@text</div>", point_policy: "snap_to_data" }));
     figure.toolbar.logo = null;
     figure.toolbar.autohide = !TOUCH;
-    if (!TOUCH) figure.toolbar.buttons = []; // a tenth of the time of drawing: made when a pointer first comes
+    figure.toolbar.buttons = []; // a tenth of the time of drawing: made when a pointer first comes
     const select = figure.toolbar.tools.find((tool) => tool.type === "BoxSelectTool");
     figure.toolbar.active_drag = TOUCH ? null : select;
     if (figure.legend.items.length > 0) {
@@ -279,7 +279,8 @@ class Chart {
       return [];
     }
     if (kind === "band") {
-      figure.add_layout(new Bokeh.BoxAnnotation({ left: columns.left[0], right: columns.right[0], fill_color: paint, fill_alpha: 0.18, line_color: null }));
+      figure.quad({ left: columns.left, right: columns.right, bottom: [figure.y_range.start], top: [figure.y_range.end], fill_color: paint, fill_alpha: 0.18, line_color: null,
+        ...(label ? { legend_label: label } : {}) });
       return [];
     }
     const { rows } = this.selection;
@@ -294,7 +295,7 @@ class Chart {
     const field = (name) => ({ field: name });
     let drawn;
     if (kind === "points") {
-      drawn = figure.scatter({ x: field("x"), y: field("y"), source, marker: field("mark"), size: n > 300 ? 4 : this.small ? 5 : 7, fill_color: field("colour"), fill_alpha: 0.75,
+      drawn = figure.scatter({ x: field("x"), y: field("y"), source, marker: field("mark"), size: n > 300 ? (this.small ? 3 : 4) : this.small ? 5 : 7, fill_color: field("colour"), fill_alpha: 0.75,
         line_color: columns.colours ? this.ink : field("colour"), line_width: columns.colours ? 0.4 : 1.2, nonselection_alpha: 0.12, ...known });
     } else if (kind === "bars") {
       drawn = figure.hbar({ y: field("y"), source, left: field("left"), right: field("right"), height: columns.thick[0], fill_color: field("colour"), fill_alpha: 0.9,

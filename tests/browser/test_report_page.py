@@ -146,6 +146,24 @@ def test_the_robot_is_drawn_once_and_seen_with_the_plots_of_the_window(chromium,
     assert plots >= 1
 
 
+def test_on_paper_the_legend_is_large_and_covers_nothing_of_the_robot(report):
+    tab = report(1240, 900)
+    found = (
+        tab.page.frame_locator("#space")
+        .locator("body")
+        .evaluate(
+            """(body) => { body.classList.add("paper");
+        const [legend, pane] = ["legend", "pane"].map((id) => document.getElementById(id).getBoundingClientRect());
+        body.classList.remove("paper");
+        const larger = legend.height / document.getElementById("legend").getBoundingClientRect().height;
+        return { right: legend.right - window.innerWidth, over: pane.bottom - legend.top, larger }; }"""
+        )
+    )
+    assert found["right"] <= 0
+    assert found["over"] <= 0
+    assert found["larger"] > 1.4
+
+
 def test_nothing_of_a_plot_is_cut(report):
     tab = report(390, 844)
     tab.page.evaluate("calibrationReport.all()")

@@ -44,7 +44,7 @@ function tickDistance(start, end, room, digit) {
     for (const mantissa of room < 150 ? [1, 1.5, 2, 3, 4, 5] : [1, 2, 5]) {
       const distance = mantissa * 10 ** power;
       const decimals = Math.max(0, (mantissa % 1 ? 1 : 0) - power);
-      const wide = digit * (whole + (decimals ? decimals + 1 : 0) + 1);
+      const wide = digit * (whole + (decimals ? decimals + 1 : 0) + 2); // paper may have less room
       if (room * distance / (end - start) > Math.max(wide, room / 8)) return distance;
     }
   }

@@ -75,6 +75,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     pairs = list(combinations(range(n), 2)) if n <= _PAIRED else [(k, k + 1) for k in range(n - 1)]
     if not pairs or not first:
         return None
+    small = len(pairs) > 3  # more than one row of panels
     every, number = np.concatenate(values), np.concatenate(rows)
     _, one = np.unique(every, axis=0, return_index=True)  # each pose only once
     limits = {joint.name: (joint.lower, joint.upper) for joint in fit.nominal.urdf.joints}
@@ -91,13 +92,13 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     panels = []
     for a, b in pairs:
         (x, across), (y, up) = coverage_of(a), coverage_of(b)
-        panels.append(panel(x, y, [layer("points", x=across, y=up, rows=number[one])], height=190))
+        panels.append(panel(x, y, [layer("points", x=across, y=up, rows=number[one])], height=190 if small else 300))
     return Chart(
         "coverage",
         "Where the joints were",
         "The axes show the limits of each joint, or its measured range if the limits are far. Empty: not measured.",
         tuple(panels),
-        170,
+        170 if small else 300,
     )
 
 
@@ -275,9 +276,9 @@ def _local_mean(values: FloatArray, component: FloatArray) -> dict[str, FloatArr
 
 def _cells(x: FloatArray, y: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Middle (x, y), mean error and width of the cells with measurements in a plane."""
-    width = max(float(np.ptp(x)), float(np.ptp(y)), 1e-6) / _CELLS
-    columns, lines = (np.minimum((v - v.min()) // width, _CELLS - 1).astype(int) for v in (x, y))
+    width = max(float(np.ptp(x)), float(np.ptp(y)), 1e-6) / (_CELLS - 1)  # the outermost places are in the middle
+    columns, lines = (np.rint((v - v.min()) / width).astype(int) for v in (x, y))
     numbers, of_cell, count = np.unique(columns * _CELLS + lines, return_inverse=True, return_counts=True)
     mean = np.bincount(of_cell, size) / count
     column, line = np.divmod(numbers, _CELLS)
-    return x.min() + (column + 0.5) * width, y.min() + (line + 0.5) * width, mean, np.full(len(mean), width)
+    return x.min() + column * width, y.min() + line * width, mean, np.full(len(mean), width)

@@ -42,7 +42,7 @@ def side_by_side(fleet: Fleet) -> Chart:
         called = member.name + (" (unlike)" if member.is_unlike else "")
         texts = [f"{called}, {name}: {value:+.2f} spreads" for name, value in zip(names, away[k, order], strict=True)]
         groups.append((called, MANY[k % len(MANY)], away[k, order], reach[k, order], texts))
-    drawn = forest(names, groups, "difference to the mean of the fleet [spreads from robot to robot]", ("", 2.0))
+    drawn = forest(names, groups, "difference to the mean [spreads of the robots]", ("", 2.0))
     return Chart(
         "side-by-side",
         "Robots side by side",

@@ -104,7 +104,6 @@ def waterfall(fit: Fit) -> Chart | None:
     squares = np.array([row["mean_square"] for row in causes])
     ends = np.sqrt(np.maximum(np.cumsum(squares[::-1])[::-1], 0.0))  # the error before each cause is removed
     starts = np.append(ends[1:], 0.0)
-    colours = [COLOURS["after"] if end >= start else COLOURS["x"] for start, end in zip(starts, ends, strict=True)]
     texts = [
         f"{row['cause']}: {row['rms']:.3g} {unit} RMS, {100 * row['share']:.2g} % of the mean square"
         if np.isfinite(row["rms"])
@@ -112,9 +111,15 @@ def waterfall(fit: Fit) -> Chart | None:
         for row in causes
     ]
     names = [row["cause"] for row in causes]
-    sides = {"left": np.minimum(starts, ends), "right": np.maximum(starts, ends)}
-    bars = layer("bars", y=np.arange(len(names)), **sides, thick=0.7, texts=texts, colours=colours)
-    larger = " A cause with an orange bar makes the error larger." if np.any(starts > ends) else ""
+    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+
+    def bars(colour: str, which: Any) -> Any:
+        sides = {"y": which, "left": low[which], "right": high[which], "texts": [texts[k] for k in which]}
+        return layer("bars", "", colour, **sides, thick=0.7)
+
+    bad = starts > ends
+    layers = [bars(COLOURS[name], np.flatnonzero(k)) for name, k in (("after", ~bad), ("x", bad)) if k.any()]
+    larger = " A cause with an orange bar makes the error larger." if bad.any() else ""
     return Chart(
         "waterfall",
         "Causes of the error before calibration",
@@ -123,7 +128,7 @@ def waterfall(fit: Fit) -> Chart | None:
             panel(
                 axis(f"RMS error [{unit}]", ends=[0, 1.03 * max(ends)]),
                 axis("", names=names),
-                [bars],
+                layers,
                 height=90 + 30 * len(names),
             ),
         ),

@@ -120,6 +120,46 @@ def test_the_legends_have_marks_of_their_own(report):
     assert legend.locator("path").last.evaluate("(path) => getComputedStyle(path).stroke") == "rgb(204, 13, 89)"
 
 
+ORDER = """if (window !== top) {
+  let drawn = 0;
+  const { clear } = WebGL2RenderingContext.prototype;
+  WebGL2RenderingContext.prototype.clear = function counted(mask) { drawn += 1; clear.call(this, mask); };
+  new MutationObserver(() => {
+    const plots = top.document.querySelectorAll("[data-drawn]");
+    if (!top.atFirst && document.body?.dataset.shown) top.atFirst = [drawn, plots.length];
+  }).observe(document, { subtree: true, attributes: true });
+}"""
+
+
+def test_the_robot_is_drawn_once_and_seen_with_the_plots_of_the_window(chromium, report_file):
+    """Without a graphics card each picture takes a tenth of a second, in which plots would wait."""
+    tab = Tab(chromium, size=(1400, 900))
+    tab.page.add_init_script(ORDER)
+    tab.open(report_file.as_uri())
+    pictures, plots = tab.page.evaluate("window.atFirst")
+    tab.context.close()
+    assert pictures == 1
+    assert plots >= 1
+
+
+def test_on_paper_the_legend_is_large_and_covers_nothing_of_the_robot(report):
+    tab = report(1240, 900)
+    found = (
+        tab.page.frame_locator("#space")
+        .locator("body")
+        .evaluate(
+            """(body) => { body.classList.add("paper");
+        const [legend, pane] = ["legend", "pane"].map((id) => document.getElementById(id).getBoundingClientRect());
+        body.classList.remove("paper");
+        const larger = legend.height / document.getElementById("legend").getBoundingClientRect().height;
+        return { right: legend.right - window.innerWidth, over: pane.bottom - legend.top, larger }; }"""
+        )
+    )
+    assert found["right"] <= 0
+    assert found["over"] <= 0
+    assert found["larger"] > 1.4
+
+
 def test_nothing_of_a_plot_is_cut(report):
     tab = report(390, 844)
     tab.page.evaluate("calibrationReport.all()")

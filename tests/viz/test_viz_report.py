@@ -426,11 +426,12 @@ def test_a_cause_that_makes_the_error_larger_has_a_bar_back(fit, monkeypatch):
               for name, part in zip("abcd", (2.0, 1.5, -1.0, 1.5), strict=True)]  # fmt: skip
     monkeypatch.setattr("viz.result_charts.budget_table", lambda _: {"causes": causes, "unit": "mm", "rms_before": 2.0})
     chart = waterfall(fit)
-    (bars,) = chart.panels[0]["layers"]
-    assert bars["right"][0] == pytest.approx(2.0)
-    assert np.square(bars["right"]) - np.square(bars["left"]) == pytest.approx([2.0, 1.5, 1.0, 1.5], abs=1e-3)
-    assert len(set(bars["colours"])) == 2
-    assert bars["colours"][0] == bars["colours"][1] != bars["colours"][2]
+    down, up = chart.panels[0]["layers"]
+    assert down["right"][0] == pytest.approx(2.0)
+    assert np.square(down["right"]) - np.square(down["left"]) == pytest.approx([2.0, 1.5, 1.5], abs=1e-3)
+    assert np.square(up["right"]) - np.square(up["left"]) == pytest.approx([1.0], abs=1e-3)
+    assert (down["y"], up["y"]) == ([0, 1, 3], [2])
+    assert down["colour"] != up["colour"]
     assert "makes the error larger" in chart.text
 
 

@@ -44,7 +44,7 @@ function tickDistance(start, end, room, digit) {
     for (const mantissa of room < 150 ? [1, 1.5, 2, 3, 4, 5] : [1, 2, 5]) {
       const distance = mantissa * 10 ** power;
       const decimals = Math.max(0, (mantissa % 1 ? 1 : 0) - power);
-      const wide = digit * (whole + (decimals ? decimals + 1 : 0) + 1);
+      const wide = digit * (whole + (decimals ? decimals + 1 : 0) + 2); // paper may have less room
       if (room * distance / (end - start) > Math.max(wide, room / 8)) return distance;
     }
   }
@@ -140,7 +140,7 @@ class Chart {
       const place = this.grid.children[k];
       const figure = this.figure(panel, place.clientWidth);
       place.replaceChildren();
-      place.addEventListener("pointermove", () => { figure.toolbar.buttons = "auto"; }, { once: true });
+      place.addEventListener(TOUCH ? "pointerdown" : "pointermove", () => { figure.toolbar.buttons = "auto"; }, { once: true });
       const view = await Bokeh.Plotting.show(figure, place);
       const { primary } = view.canvas_view;
       primary.clear = () => primary.ctx.clearRect(-1, -1, primary.bbox.width + 2, primary.bbox.height + 2); // Bokeh leaves half a pixel
@@ -218,7 +218,7 @@ class Chart {
     figure.add_tools(new Bokeh.HoverTool({ renderers: hovered, tooltips: "<div style='max-width: 260px; white-space: normal'>@text</div>", point_policy: "snap_to_data" }));
     figure.toolbar.logo = null;
     figure.toolbar.autohide = !TOUCH;
-    if (!TOUCH) figure.toolbar.buttons = []; // a tenth of the time of drawing: made when a pointer first comes
+    figure.toolbar.buttons = []; // a tenth of the time of drawing: made when a pointer first comes
     const select = figure.toolbar.tools.find((tool) => tool.type === "BoxSelectTool");
     figure.toolbar.active_drag = TOUCH ? null : select;
     if (figure.legend.items.length > 0) {
@@ -279,7 +279,8 @@ class Chart {
       return [];
     }
     if (kind === "band") {
-      figure.add_layout(new Bokeh.BoxAnnotation({ left: columns.left[0], right: columns.right[0], fill_color: paint, fill_alpha: 0.18, line_color: null }));
+      figure.quad({ left: columns.left, right: columns.right, bottom: [figure.y_range.start], top: [figure.y_range.end], fill_color: paint, fill_alpha: 0.18, line_color: null,
+        ...(label ? { legend_label: label } : {}) });
       return [];
     }
     const { rows } = this.selection;
@@ -294,7 +295,7 @@ class Chart {
     const field = (name) => ({ field: name });
     let drawn;
     if (kind === "points") {
-      drawn = figure.scatter({ x: field("x"), y: field("y"), source, marker: field("mark"), size: n > 300 ? 4 : this.small ? 5 : 7, fill_color: field("colour"), fill_alpha: 0.75,
+      drawn = figure.scatter({ x: field("x"), y: field("y"), source, marker: field("mark"), size: n > 300 ? (this.small ? 3 : 4) : this.small ? 5 : 7, fill_color: field("colour"), fill_alpha: 0.75,
         line_color: columns.colours ? this.ink : field("colour"), line_width: columns.colours ? 0.4 : 1.2, nonselection_alpha: 0.12, ...known });
     } else if (kind === "bars") {
       drawn = figure.hbar({ y: field("y"), source, left: field("left"), right: field("right"), height: columns.thick[0], fill_color: field("colour"), fill_alpha: 0.9,
@@ -389,9 +390,13 @@ class Space {
     }
     document.getElementById("turn").addEventListener("click", (event) => { event.target.hidden = true; });
     document.getElementById("turn").hidden = !TOUCH;
-    if (this.viewer.sameScale()) page.getElementById("same-scale").click(); // what is left has colours of its own
-    document.querySelectorAll("[data-press]").forEach((button) => button.dispatchEvent(new Event("shown")));
-    document.body.dataset.space = "true";
+  }
+
+  /** Show what is drawn; some browsers have dropped it, so that it is drawn again. */
+  async show() {
+    this.frame.contentDocument.body.dataset.shown = "true";
+    await breath(10 * FRAME);
+    if (this.viewer.stage) this.viewer.stage.redraw();
   }
 
   /** Keep the picture for paper. */
@@ -413,6 +418,11 @@ async function startReport() {
     await run("bokeh");
     await run("bokeh-api");
     Bokeh.set_log_level("error");
+  }
+  try {
+    for (const chart of drawn.filter(({ grid }) => grid.getBoundingClientRect().top < window.innerHeight)) await chart.draw();
+  } finally {
+    if (space) space.show();
   }
   let last = Promise.resolve();
   const inTurn = (work) => { last = last.finally(work).finally(() => breath(FRAME)); return last; };

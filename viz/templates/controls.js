@@ -26,7 +26,7 @@ class Controls {
     this.applyState();
     this.applyVisibility();
     this.go(0);
-    this.resetCamera(); // now that the legend has its size
+    if (this.stage) this.stage.begin();
   }
 
   /** The 3D stage; null where the browser has no WebGL: the numbers work without it. */
@@ -283,9 +283,14 @@ class Controls {
   still() {
     if (!this.stage) return "";
     const dark = this.theme.box.checked;
-    this.theme.use(false);
+    const onPaper = (now, theme) => {
+      document.body.classList.toggle("paper", now);
+      this.theme.use(theme);
+      this.stage.resize(); // the legend takes another part of it
+    };
+    onPaper(true, false);
     const picture = pictureOf(this.stage, "").toDataURL("image/png");
-    this.theme.use(dark);
+    onPaper(false, dark);
     return picture;
   }
 

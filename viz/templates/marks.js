@@ -15,7 +15,7 @@ const SHARED_SHADER = `
     bool known = max(length(before), length(after)) < 1e6;
     return known ? mix(before, after, state) : state < 0.5 ? before : after;
   }
-  bool isVisible() { if (abs(part - chosenPart) > 0.5) return false; int code = int(group + 0.5); for (int i = 0; i < CODES; i++) if (i == code) return visible[i] > 0.5; return false; }
+  bool isVisible() { return abs(part - chosenPart) < 0.5 && visible[int(group + 0.5)] > 0.5; }
   void colour() {
     bool both = max(sizes.x, sizes.y) < 1e6;
     float size = both ? mix(sizes.x, sizes.y, state) : state < 0.5 ? sizes.x : sizes.y;
@@ -40,19 +40,19 @@ const POINT_VERTEX = `
 const SHAPES = ["disc", "diamond", "square", "alarm"]; // the last is a square in red
 
 const POINT_FRAGMENT = `
-  uniform vec3 edge; varying vec3 vColour; varying float vShape; varying float vOutlier; varying float vEdge;
+  uniform vec3 edge; uniform float opacity; varying vec3 vColour; varying float vShape; varying float vOutlier; varying float vEdge;
   void main() {
     vec2 p = 2.0 * gl_PointCoord - 1.0;
     int shape = int(vShape + 0.5);
     float reach = shape == DISC ? length(p) : shape == DIAMOND ? abs(p.x) + abs(p.y) : max(abs(p.x), abs(p.y)) * 1.15;
     float cross = min(abs(p.x - p.y), abs(p.x + p.y));
     if (vOutlier > 0.5 && cross < 0.28 && max(abs(p.x), abs(p.y)) < 0.98) {
-      gl_FragColor = vec4(cross < 0.13 ? vec3(0.0) : vec3(1.0), OPACITY);
+      gl_FragColor = vec4(cross < 0.13 ? vec3(0.0) : vec3(1.0), opacity);
       return;
     }
     if (reach > 1.0) discard;
     vec3 colour = shape == ALARM ? vec3(0.85, 0.08, 0.08) : vColour;
-    gl_FragColor = vec4(reach > 0.76 ? mix(colour, edge, vEdge) : colour, OPACITY);
+    gl_FragColor = vec4(reach > 0.76 ? mix(colour, edge, vEdge) : colour, opacity);
   }`;
 
 // A slender cone from the measured point to the exaggerated predicted point; the tip shows the direction.
@@ -121,7 +121,7 @@ class Marks {
       edge: { value: EDGES.light },
     };
     this.points = new THREE.Points(this.pointGeometry(), this.material(SHARED_SHADER + POINT_VERTEX, POINT_FRAGMENT));
-    this.covered = new THREE.Points(this.points.geometry, this.material(SHARED_SHADER + POINT_VERTEX, POINT_FRAGMENT, { OPACITY: "0.35" }));
+    this.covered = new THREE.Points(this.points.geometry, this.material(SHARED_SHADER + POINT_VERTEX, POINT_FRAGMENT, 0.35));
     Object.assign(this.covered.material, { depthFunc: THREE.GreaterDepth, depthWrite: false }); // in or behind the robot: faint
     this.vectors = new THREE.Mesh(this.cones(), this.material(SHARED_SHADER + VECTOR_VERTEX, VECTOR_FRAGMENT));
     this.ring = this.ringMark();
@@ -133,10 +133,11 @@ class Marks {
     }
   }
 
-  material(vertexShader, fragmentShader, more = { OPACITY: "1.0" }) {
-    const defines = { CODES: 2 * this.table.nGroups, ...more };
+  material(vertexShader, fragmentShader, opacity = 1) {
+    const defines = { CODES: 2 * this.table.nGroups };
     SHAPES.forEach((shape, number) => { defines[shape.toUpperCase()] = number; });
-    return new this.THREE.ShaderMaterial({ uniforms: this.uniforms, defines, vertexShader, fragmentShader });
+    const uniforms = { ...this.uniforms, opacity: { value: opacity } };
+    return new this.THREE.ShaderMaterial({ uniforms, defines, vertexShader, fragmentShader });
   }
 
   /** A geometry with what the shaders need of every row, `corners` times each. */

@@ -1,8 +1,8 @@
 // The 3D view as a PNG file: what is drawn, with the title and the legend, without which colours say nothing.
 "use strict";
 
-/** Write the texts of a part of the page where they stand. */
-function drawTexts(context, root, left, top) {
+/** Write the texts of a part of the page where they stand. @param scale of its letters on the page */
+function drawTexts(context, root, left, top, scale = 1) {
   const walker = document.createTreeWalker(root, NodeFilter.SHOW_TEXT);
   const range = document.createRange();
   while (walker.nextNode()) {
@@ -12,7 +12,7 @@ function drawTexts(context, root, left, top) {
     const box = range.getBoundingClientRect();
     if (!box.width) continue; // hidden
     const { fontWeight, fontSize, fontFamily, color } = getComputedStyle(text.parentElement);
-    context.font = `${fontWeight} ${fontSize} ${fontFamily}`;
+    context.font = `${fontWeight} ${scale * parseFloat(fontSize)}px ${fontFamily}`;
     context.fillStyle = color;
     context.fillText(text.data.trim(), box.left - left, (box.top + box.bottom) / 2 - top, box.width);
   }
@@ -27,6 +27,7 @@ function drawGround(context, node, left, top) {
 
 /** The legend: ground, bar of colours, marks, texts. */
 function drawLegend(context, legend, left, top) {
+  const scale = legend.getBoundingClientRect().width / legend.offsetWidth; // smaller in a frame of a report
   drawGround(context, legend, left, top);
   for (const bar of legend.querySelectorAll("canvas")) {
     const place = bar.getBoundingClientRect();
@@ -35,7 +36,7 @@ function drawLegend(context, legend, left, top) {
   for (const mark of legend.querySelectorAll(".mark path")) {
     const box = mark.ownerSVGElement.getBoundingClientRect();
     const path = new Path2D();
-    path.addPath(new Path2D(mark.getAttribute("d")), new DOMMatrix().translate(box.left - left, box.top - top));
+    path.addPath(new Path2D(mark.getAttribute("d")), new DOMMatrix().translate(box.left - left, box.top - top).scale(scale));
     context.fillStyle = getComputedStyle(mark).fill;
     context.strokeStyle = getComputedStyle(mark).stroke;
     context.lineWidth = Number(mark.getAttribute("stroke-width"));
@@ -44,7 +45,7 @@ function drawLegend(context, legend, left, top) {
   }
   const ghost = legend.querySelector("#legend-ghost i");
   if (ghost.offsetParent) drawGround(context, ghost, left, top);
-  drawTexts(context, legend, left, top);
+  drawTexts(context, legend, left, top, scale);
 }
 
 /** The stage as a canvas, as large as the screen has points. */

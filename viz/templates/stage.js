@@ -9,10 +9,10 @@ class Stage {
     this.THREE = THREE;
     this.scene = scene;
     this.pane = pane;
-    this.viewer = new MeshCat.Viewer(pane);
+    this.viewer = new MeshCat.Viewer(pane, false); // `begin` lets it draw: not its own scene before
     this.viewer.gui.domElement.remove(); // meshcat's own controls: ours replace them, and would be tabbed through
     this.viewer.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
-    this.viewer.set_3d_pane_size = () => this.resize();
+    this.viewer.set_3d_pane_size = () => {}; // `resize` does
     for (const name of ["Grid", "Axes", "Background"]) {
       this.viewer.set_property([name], "visible", false);
     }
@@ -34,12 +34,19 @@ class Stage {
     this.ghostFactor = 1;
     this.live = null; // joint values that a live program shows instead of a pose
     this.pose = 0;
-    this.direction = null; // where `look` looked from, until the camera is moved by hand
+    this.direction = scene.view.direction; // where `look` looks from, until the camera is moved by hand
     this.followRender();
-    this.resize();
-    this.look(scene.view.direction);
     this.viewer.controls.addEventListener("start", () => { this.direction = null; }); // turned by hand: leave it so
-    new ResizeObserver(() => this.resize()).observe(pane);
+  }
+
+  /** Draw now that the legend has its size, and whenever something changes. */
+  begin() {
+    this.resize();
+    this.viewer.animate();
+    this.viewer.renderer.getContext().flush();
+    new ResizeObserver(() => {
+      if (this.pane.clientWidth !== this.width || this.pane.clientHeight !== this.height) this.resize();
+    }).observe(this.pane);
   }
 
   sizeOf({ view: { low, high } }) {
@@ -135,7 +142,6 @@ class Stage {
   addMarks(marks) {
     this.marks = marks;
     this.root.add(...marks.objects);
-    this.resize();
   }
 
   /** Another scene of the same robot: where it stands, and what was measured. */
@@ -155,6 +161,7 @@ class Stage {
     }
     this.marks = null;
     if (marks) this.addMarks(marks);
+    this.resize();
   }
 
   /** What is known over the workspace. */
@@ -164,8 +171,8 @@ class Stage {
   }
 
   resize() {
-    const width = Math.max(this.pane.clientWidth, 1);
-    const height = Math.max(this.pane.clientHeight, 1);
+    [this.width, this.height] = [this.pane.clientWidth, this.pane.clientHeight];
+    const [width, height] = [Math.max(this.width, 1), Math.max(this.height, 1)];
     this.viewer.camera.aspect = width / height;
     this.viewer.camera.updateProjectionMatrix();
     this.viewer.renderer.setSize(width, height);

@@ -14,7 +14,7 @@ from calib.core.base.units import PER_SI, millimetres
 from calib.core.robots.file_formats import FormatFile
 from calib.core.robots.robot import Robot
 from calib.printers import COMMENTS
-from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, is_linear_delta
+from calib.printers.linear_delta import ANGLES, PARAMETERS, TOWERS, DeltaGeometry, is_linear_delta
 
 
 def geometry_of(robot: Robot) -> DeltaGeometry:
@@ -30,12 +30,7 @@ def geometry_of(robot: Robot) -> DeltaGeometry:
         )
     value = {parameter.name: float(v) for parameter, v in zip(robot.parameters, robot.values, strict=True)}
     angle_c = next(joint.rpy[2] for joint in robot.urdf.joints if joint.name == "tower_c")
-    return DeltaGeometry(
-        value["delta_radius"],
-        (value["angle_a"], value["angle_b"], float(angle_c)),
-        (value["arm_a"], value["arm_b"], value["arm_c"]),
-        (value["endstop_a"], value["endstop_b"], value["endstop_c"]),
-    )
+    return DeltaGeometry.from_values([value[name] for name in PARAMETERS], float(angle_c))
 
 
 def printer_lines(robot: Robot, firmware: str, provenance: Sequence[str] = ()) -> FormatFile:

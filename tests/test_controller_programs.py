@@ -17,7 +17,7 @@ from calib.core.base.errors import CalibrationError
 from calib.programs.commands.compensate import command
 from calib.programs.languages.controller_program import compensate_program
 from calib.programs.languages.languages import read_program
-from calib.programs.languages.orientations import numbers_of, pose_of
+from calib.programs.languages.robot_program import numbers_of, pose_of
 
 YAML = """\
 urdf: arm.urdf

@@ -2,7 +2,7 @@
 
 Every reading is tried on the nominal robot, with the best base and tool (`calib.matching.alignment`). The right reading
 leaves the errors of the robot's origins, some millimetres; a wrong reading leaves a part of the workspace. Candidates
-are: joint values in degrees and radians; all forms of rotations (`calib.matching.conventions`); the tool in the base,
+are: joint values in degrees and radians; all forms of rotations (`calib.matching.pairs`); the tool in the base,
 the base in the tool, and inverse rotations alone. If none of them fits, twists are tried: joint 3 counted from the
 horizontal (joint 2 is in it), joint values some rows above or below their poses, columns of positions in another order
 or with another sign, and columns of joint values with other order, sign, zero or scale
@@ -29,8 +29,7 @@ from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.column_maps import likely_maps
 from calib.core.robots.robot import Robot
 from calib.matching.alignment import Alignment, align, turns_apart
-from calib.matching.conventions import CONVENTIONS, HEADERS, Convention
-from calib.matching.pairs import Pairs
+from calib.matching.pairs import CONVENTIONS, HEADERS, Convention, Pairs
 
 _SAME = 1e-9  # differences of joint values and poses that count as zero [m], [rad]
 _FINEST = 1e-6  # finest own rounding of a controller [m or rad]

@@ -22,10 +22,9 @@ from calib.core.robots.jacobian import linearise
 from calib.core.robots.loading import build
 from calib.core.robots.parametrisation import default_sections
 from calib.core.robots.robot import Robot
-from calib.matching.agreement import Agreement, agreement
+from calib.matching.agreement import Agreement, agreement, explanation
 from calib.matching.pairs import Pairs
 from calib.matching.readings import PlacedInterpretation
-from calib.matching.unexplained import explanation
 
 _CONTROLLER = "controller"  # name of its instrument
 

@@ -32,8 +32,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.templates import TEMPLATES, loop_files
 from calib.core.rows.simulate import simulate
 from calib.quality.protocol import Check, Phase, Work
-from calib.quality.reference_problems import PROBLEMS, ReferenceProblem
-from calib.quality.sample_robots import sample_robots
+from calib.quality.references import PROBLEMS, ReferenceProblem, sample_robots
 
 _PHASE = Phase.OPERATION
 _DIGITS = 7.0

@@ -23,7 +23,7 @@ from calib.core.robots.robot import Robot
 from calib.core.rows.simulate import simulate
 from calib.quality.operation import draw_robot
 from calib.quality.protocol import Check, Outcome, Phase, Work
-from calib.quality.sample_robots import sample_robots
+from calib.quality.references import sample_robots
 
 _PHASE = Phase.PERFORMANCE
 _POSES, _OTHERS, _HELD_OUT = 60, 300, 0.2

@@ -68,7 +68,7 @@ class Closure:
     Attributes:
         a, b: Indices among the tree's frames.
         rows: Zero components, of x, y, z; loops that constrain whole poses are refused
-            (`calib.exporting.functions.languages`).
+            (`calib.exporting.file_formats`).
     """
 
     a: int

@@ -14,13 +14,10 @@ from pathlib import Path
 from typing import ClassVar
 
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.frames import Frame, Frames, as_selected_frame
 from calib.programs.languages.harmless import URSCRIPT, URSCRIPT_COMPUTED
-from calib.programs.languages.orientations import pose_of
-from calib.programs.languages.reader import Data, Reached, Reader
-from calib.programs.languages.robot_program import DEGREE, LeftOutError, Number, ProgramSource, cells_at
-from calib.programs.languages.tokens import ProgramWords, Span, word_pattern
-from calib.programs.languages.visits import Place, Visit
+from calib.programs.languages.reader import Data, Frame, Frames, Reached, Reader, as_selected_frame
+from calib.programs.languages.robot_program import LeftOutError, Place, Visit, pose_of
+from calib.programs.languages.tokens import DEGREE, Number, ProgramSource, ProgramWords, Span, word_pattern
 
 SUFFIXES = (".script", ".urscript")
 _WORDS = word_pattern(r"#[^\n]*|\$[^\n]*", r"[^\W\d]\w*", r"[=!<>]=|\*\*|[-+*/%^()\[\]{}=<>,.:;]")
@@ -124,14 +121,12 @@ class UrscriptReader(Reader):
             if not maybe:
                 self.flow.note_setting(name, None)
         elif name in URSCRIPT_COMPUTED:
-            where = self.sources[0].path, self.code.line(at)
-            self.uses.decide(self.names(*span), where[1])
+            path, line = self.sources[0].path, self.code.line(at)
+            self.uses.decide(self.names(*span), line)
             if name in _MOVED_ALONG:
-                why = f"is shifted at run time by '{name}' (line {where[1]})"
+                why = f"is shifted at run time by '{name}' (line {line})"
                 self.flow.note_setting(_MOVED_ALONG[name], Unknown(why))
-            self.visits.append(
-                Visit(where, name, None, why="moves the robot by an amount that it computes at run time")
-            )
+            self.visits.append(Visit(path, line, name, why="moves the robot by an amount that it computes at run time"))
         else:
             return name in self.harmless or self.code.is_mark(at - 1, ".")
         return True
@@ -147,7 +142,7 @@ class UrscriptReader(Reader):
                 return None
             spans.append(number)
             units.append(DEGREE if angle else 1.0)
-        return cells_at(self.sources[0], 0, spans, units) if len(spans) == 6 else None
+        return code.source.numbers(spans, units) if len(spans) == 6 else None
 
     def _is_pose(self, span: Span) -> bool:
         first, second = self.code.tokens[span[0] : span[0] + 2]
@@ -178,8 +173,7 @@ class UrscriptReader(Reader):
     def _move(self, word: str, span: Span, state: State | None) -> None:
         """Process the targets of a move: the named arguments in `_GOALS`, or the first arguments."""
         given = sorted(map(self._named_argument, self.code.split(*span)), key=lambda pair: pair[0] not in _GOALS)
-        for _, value in given[: _MOVES[word]]:
-            self.go(value, state, lambda value=value: self._goal(value), self._target)  # type: ignore[misc]
+        self.go([value for _, value in given[: _MOVES[word]]], state, self._goal, self._target)
 
     def _target(self, goal: _Goal, state: State) -> Reached:
         data = goal.data

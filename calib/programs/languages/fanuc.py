@@ -180,10 +180,6 @@ class FanucReader(Reader):
         self.positions = positions_of(source, positions)
         self.given = set(harmless)
 
-    def parameter(self, span: Span) -> tuple[list[str], bool]:
-        """Return nothing: programs have no parameters in the text."""
-        return [], False
-
     def read(self, at: int = 0) -> None:
         """Read all instructions; a jump with a computed number may lead to any label."""
         code = self.code
@@ -222,14 +218,13 @@ class FanucReader(Reader):
         comma = code.find_mark(at, stop, ",")
         while comma < stop and code.tokens[at].text in ("IF", "SELECT", "=", "ELSE"):
             self.decide(at, comma)
-            self.flow.open_choice(code.tokens[at].text, code.line(at))
-            self.flow.pass_over()
+            self.branch(at, comma)
             at, opened = comma + 1, opened + 1
             comma = code.find_mark(at, stop, ",")
         if at < stop:
             self._action(at, stop)
         for _ in range(opened):
-            self.flow.close()
+            self.close_block()
 
     def _action(self, at: int, stop: int) -> None:
         code, word = self.code, self.code.tokens[at].text

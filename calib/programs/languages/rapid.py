@@ -120,8 +120,8 @@ class RapidReader(Reader):
         return behind
 
     def _close_compact(self) -> None:
-        while self.flow.blocks and self.flow.blocks[-1].kind == "":
-            self.flow.close()
+        while self.blocks and self.blocks[-1].kind == "":
+            self.close_block()
 
     def close(self, at: int, behind: int) -> int:
         """End branches or a loop, and the one-statement branches that they end."""
@@ -186,9 +186,8 @@ class RapidReader(Reader):
                 value = True
             stop += 1
         self.decide(at + 1, stop)
-        self.flow.open_choice("IF" if code.tokens[stop].text == "THEN" else "", code.line(at))
-        self.flow.pass_over()
-        return stop
+        self.open_block("IF" if code.tokens[stop].text == "THEN" else "", code.line(at))
+        return self.pass_over(at, stop)
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
         """Process a call of a built-in routine, which may set its arguments; return whether the call is known."""

@@ -55,10 +55,9 @@ class UrscriptReader(Reader):
     """Reads a program; `TCP` in the given frames is the tool before the first `set_tcp`."""
 
     language, by_value, lost, danger = "URScript", True, ("tool",), "select another tool"
-    ROUTINES = "def thread sec"
+    ROUTINES, THREADS = "def thread sec", ("thread", "sec")
     WORDS: ClassVar = {
-        "begin": "def",
-        "begin_thread": "thread sec",
+        "begin": ROUTINES,
         "condition branch": "if switch",
         "begin_branch condition pass_over": "elif case",
         "begin_branch": "else default",
@@ -77,15 +76,11 @@ class UrscriptReader(Reader):
         start = {"tool": frames.get("TCP", Unknown(_NO_TOOL, whole=True)), **dict.fromkeys(_MOVED_ALONG.values())}
         super().__init__([code], start, frames, URSCRIPT | set(harmless))
 
-    def parameter(self, span: Span) -> tuple[list[str], bool]:
-        """Return the name of a parameter; it is passed by value."""
-        return [self.code.tokens[span[0]].text], False
-
     def close(self, at: int, behind: int) -> int:
         """End branches, a loop or a routine; all end with the same word."""
-        if not self.flow.blocks:
+        if not self.blocks:
             return self.finish(at, behind)
-        self.flow.close()
+        self.close_block()
         return behind
 
     def statement(self, at: int, stop: int) -> None:

@@ -206,7 +206,9 @@ def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
 def hypotheses(robot: Robot, q: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     """Yield the possible errors of each joint at joint values q (n_pairs, n_joints): words, and phi of `q.shape`."""
     names = robot.joint_names
-    rises = np.stack([robot.jacobian(q, link)[:, 2] for link in _links(robot)], axis=2)  # rises of the origins of links
+    links = sorted({joint.child for joint in robot.urdf.joints if joint.name in names})
+    links.append(robot.description.targets[robot.target_names[0]].frame)
+    rises = np.stack([robot.jacobian(q, link)[:, 2] for link in links], axis=2)  # rises of the origins of links
     for j, joint in enumerate(names):
         moves = {f"gravity at {joint}": rises[:, j], f"gain of {joint}": q[:, [j]]}
         moves |= {f"coupling of {joint} by {other}": q[:, [k]] for k, other in enumerate(names) if k != j}
@@ -216,11 +218,6 @@ def hypotheses(robot: Robot, q: FloatArray) -> Iterator[tuple[str, FloatArray]]:
             moves[f"gear of {joint} ({count_noun(waves, 'wave')} a turn)"] = turned
         for words, phi in moves.items():
             yield words, np.einsum("j,nc->njc", np.eye(len(names))[j], phi)
-
-
-def _links(robot: Robot) -> list[str]:
-    moved = {joint.child for joint in robot.urdf.joints if joint.name in robot.joint_names}
-    return [*sorted(moved), robot.description.targets[robot.target_names[0]].frame]
 
 
 def _basis_complement(basis: FloatArray, G: FloatArray) -> FloatArray:

@@ -147,6 +147,11 @@ class PlacedInterpretation:
     reading: Interpretation
     aligned: Alignment
 
+    @property
+    def miss(self) -> float:
+        """Root mean square of its misses [m]."""
+        return self.aligned.rms_distance
+
 
 def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     """Return the readings that fit the nominal robot, the best first; several if only a fit can decide.
@@ -169,19 +174,19 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
         )
     limit = _FIT * spread
     for readings in _single_twists(robot, pairs, usual):
-        if min(tried, key=_miss).aligned.rms_distance <= limit:
+        if min(one.miss for one in tried) <= limit:
             break
         tried += [_place(robot, pairs, reading) for reading in readings]
-    best = min(tried, key=_miss)
-    if best.aligned.rms_distance > limit:
+    best = min(tried, key=lambda one: one.miss)
+    if best.miss > limit:
         raise DataError(
             f"{pairs.path}: no reading of the columns brings the poses near {robot.path}; the nearest"
-            f" ({best.reading.words()}) leaves {millimetres(best.aligned.rms_distance):.0f} mm. Check that it is this"
-            " robot, that all rows have one tool and one base, and that joint values and pose of a row belong together"
+            f" ({best.reading.words()}) leaves {millimetres(best.miss):.0f} mm. Check that it is this robot, that all"
+            " rows have one tool and one base, and that joint values and pose of a row belong together"
         )
     alike: list[PlacedInterpretation] = []
-    for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), _miss(one))):
-        near = one.aligned.rms_distance < min(_ALIKE * best.aligned.rms_distance, limit)
+    for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), one.miss)):
+        near = one.miss < min(_ALIKE * best.miss, limit)
         if near and not any(_are_same(pairs, one.reading, other.reading) for other in alike):
             alike.append(one)
     if len(alike) > _MOST:
@@ -201,10 +206,6 @@ def alike_error(pairs: Pairs, readings: Sequence[Interpretation]) -> DataError:
 def nominal_poses(robot: Robot, joints: FloatArray) -> FloatArray:
     """Return the poses of the target's link, (n, 4, 4) [m]."""
     return robot.forward(joints, robot.description.targets[robot.target_names[0]].frame)
-
-
-def _miss(candidate: PlacedInterpretation) -> float:
-    return candidate.aligned.rms_distance
 
 
 def _are_same(pairs: Pairs, one: Interpretation, other: Interpretation) -> bool:

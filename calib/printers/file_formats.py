@@ -7,7 +7,9 @@ from collections.abc import Callable, Sequence
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import Format, FormatFile
 from calib.core.robots.robot import Robot
-from calib.printers import COMMENTS
+
+COMMENTS = {"klipper": "#", "marlin": ";", "duet": ";"}
+"""The firmwares, and the mark of comments in their settings."""
 
 
 def _writer(firmware: str) -> Callable[[Robot, Sequence[str]], FormatFile]:

@@ -13,7 +13,7 @@ from calib.core.base.errors import InputError
 from calib.core.base.units import PER_SI, millimetres
 from calib.core.robots.file_formats import FormatFile
 from calib.core.robots.robot import Robot
-from calib.printers import COMMENTS
+from calib.printers.file_formats import COMMENTS
 from calib.printers.linear_delta import ANGLES, PARAMETERS, TOWERS, DeltaGeometry, is_linear_delta
 
 

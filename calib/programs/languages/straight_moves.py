@@ -39,9 +39,8 @@ from calib.core.rows.frames import CorrectionFrame, program_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.programs.reaching.compensation import compensate_in
 from calib.programs.reaching.goals import Goals
-from calib.programs.reaching.inverse import problem
+from calib.programs.reaching.inverse import TOLERANCE, problem
 from calib.programs.reaching.reaching import GoalConfigurations, descend
-from calib.programs.reaching.search import TOLERANCE
 
 _MEASURED_EVERY = 2e-3  # distance of checked points along a piece [m]
 _AT_LEAST = 3  # checked points of a piece on each side of its middle

@@ -44,6 +44,8 @@ from calib.core.robots.jacobian import linearise
 from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.robot import Robot
 
+CONTROLLER = "controller"
+"""Name of the instrument for the controller's poses."""
 _DRAWS = 600
 _BEYOND = 1.1  # residuals are not rounding if they are more than this many times the largest draw
 _ALLOWANCE = 1.25  # factor on the claim, for errors below rounding
@@ -80,12 +82,11 @@ class Agreement(ReadOnlyArrays):
         return self.ratio <= _BEYOND
 
 
-def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatArray | None = None) -> Agreement:
+def agreement(fit: Fit, rounding: FloatArray, seed: int, more: FloatArray | None = None) -> Agreement:
     """Return the comparison of residuals with rounding.
 
     Args:
-        fit: Fit to pairs, with the covariance of rounding as noise.
-        name: Name of the instrument for the controller's poses.
+        fit: Fit to pairs of the instrument `CONTROLLER`, with the covariance of rounding as noise.
         rounding: L before whitening, (n_pairs, 6, k) [m, rad].
         seed: Seed of the draws.
         more: Further columns of the whitened rows, (6 n_pairs, c); the fit is not repeated.
@@ -96,7 +97,7 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
     more = np.zeros((6 * n, 0)) if more is None else more
     jacobian = np.hstack([fit.rows.jacobian * scale, more])
     prior = np.pad(fit.rows.prior.rows, ((0, 0), (0, more.shape[1])))
-    L = whitening.flatten({name: rounding.copy()}).reshape(n, 6, k)
+    L = whitening.flatten({CONTROLLER: rounding.copy()}).reshape(n, 6, k)
     w = rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (_DRAWS, n, k))
     e = np.einsum("vik,dvk->dvi", L, w).reshape(_DRAWS, -1)
     C = linalg.pinv(jacobian.T @ jacobian + prior.T @ prior, rcond=1e-12, hermitian=True)
@@ -107,7 +108,7 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
     predicted = _leave_one_out_residuals(jacobian, C, all_r)
     lengths = np.linalg.norm(predicted, axis=2)
     sums = np.stack([np.sum(all_r**2, axis=(1, 2)), np.sum(lengths**2, axis=1)])
-    whiten = whitening.flatten({name: np.tile(np.eye(6), (n, 1, 1))}).reshape(n, 6, 6)
+    whiten = whitening.flatten({CONTROLLER: np.tile(np.eye(6), (n, 1, 1))}).reshape(n, 6, 6)
     left_out = np.linalg.solve(whiten, predicted[-1][..., None])[:, :3, 0]
     moved = np.linalg.norm(np.einsum("vik,dvk->dvi", rounding[:, :3], w), axis=2)
     size = _ALLOWANCE * float(np.sqrt(max(1.0, sums[0, -1] / np.mean(sums[0, :-1]))))
@@ -119,7 +120,7 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
         size * errors[0],
         size * errors[1],
         float(np.sqrt(np.mean(np.sum(left_out**2, axis=1)))),
-        float(np.sqrt(np.mean(np.sum(fit.residuals[name][:, :3] ** 2, axis=1)))),
+        float(np.sqrt(np.mean(np.sum(fit.residuals[CONTROLLER][:, :3] ** 2, axis=1)))),
     )
 
 
@@ -161,7 +162,7 @@ _SEEN = 1e-6  # least part of a column that joint origins cannot absorb; less co
 
 
 def explanation(
-    fit: Fit, again: Callable[[FloatArray], Fit], q: FloatArray, name: str, rounding: FloatArray, seed: int
+    fit: Fit, again: Callable[[FloatArray], Fit], q: FloatArray, rounding: FloatArray, seed: int
 ) -> tuple[str, Agreement]:
     """Return the joint errors that explain the residuals, in words (empty for none), and the agreement with them.
 
@@ -169,16 +170,16 @@ def explanation(
         fit: Fit of joint origins.
         again: Function that fits with other joint values (n_pairs, n_joints).
         q: Joint values of the pairs, (n_pairs, n_joints).
-        name, rounding, seed: Arguments of `calib.matching.agreement.agreement`.
+        rounding, seed: Arguments of `agreement`.
     """
     by_joint = linearise(fit.robot, fit.robot.assemble(q), turns=True, joints=True).joint_derivative
     assert by_joint is not None
     tried = [
-        (words, phi, fit.whitening.flatten({name: np.einsum("vij,vjc->vic", by_joint[:, 0], phi)}))
+        (words, phi, fit.whitening.flatten({CONTROLLER: np.einsum("vij,vjc->vic", by_joint[:, 0], phi)}))
         for words, phi in hypotheses(fit.robot, q)
     ]
     words, phi, added, moved = list[str](), np.zeros((*q.shape, 0)), np.zeros((6 * len(q), 0)), q
-    agreed = agreement(fit, name, rounding, seed)
+    agreed = agreement(fit, rounding, seed)
     while tried and len(words) < _MOST and not agreed.to_the_digits:
         basis = linalg.orth(np.hstack([_rows(fit)[0], added]), _SEEN)
         spans = [_basis_complement(basis, G) for *_, G in tried]
@@ -193,7 +194,7 @@ def explanation(
             J, r = _rows(fit)
             moved = moved - phi @ linalg.lstsq(np.hstack([J, added]), r, _SEEN)[J.shape[1] :]
             fit = again(moved)
-        agreed = agreement(fit, name, rounding, seed, more=added)
+        agreed = agreement(fit, rounding, seed, more=added)
     return listing(words, " and "), agreed
 
 

@@ -125,7 +125,7 @@ def _tree(name: str, tree: FunctionTree) -> str:
         for joint in tree.joints
     ]
     frames = [(frame.after, f"{name}_moved_{k}", _columns(frame.placement)) for k, frame in enumerate(tree.frames)]
-    rows = [(closure.a, closure.b, row) for closure in tree.closures for row in closure.rows]
+    rows = [(a, b, row) for a, b, rows in tree.closures for row in rows]
     places = [place for block in tree.blocks for part in block for place in part]
     ends = np.cumsum([0, *(len(part) for block in tree.blocks for part in block)])
     blocks = [

@@ -141,7 +141,7 @@ def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unre
     rows = _read_program(job.program, nominal, output)
     output.check(job.out)
     if grid is not None:
-        compensate_grid(job, rows, grid)
+        _compensate_grid(job, rows, grid)
         return
     with output.working(f"compensating {len(rows)} rows"):
         compensation = compensate(job.robot_knowledge, rows, keep=keep)
@@ -267,12 +267,8 @@ def _held_out_error(folder: str) -> float | None:
     return None if errors is None else errors["after"].get("rms")
 
 
-def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
-    """Write the table of corrections for the box of a program's positions, and report its interpolation error.
-
-    Raises:
-        InputError: The program has joint values, or `grid` is not three usable numbers of nodes.
-    """
+def _compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
+    """Write the table of corrections for the box of a program's positions, and report its interpolation error."""
     if not isinstance(program, Goals):
         raise InputError("--grid: PROGRAM has joints; give positions with one orientation")
     try:
@@ -290,10 +286,8 @@ def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
         parts.append(("turn_{} [deg]", corrections.turn * degrees))
     columns = [(name.format(axis), cells_of(values[:, k])) for name, values in parts for k, axis in enumerate("xyz")]
     off, angle = summary(millimetres(corrections.position_errors)), summary(corrections.angle_errors * degrees)
-    wrong = (
-        f"linear interpolation is off by {off['rms']:.4f} mm (RMS), {off['max']:.4f} mm and {angle['max']:.4f} deg at"
-        " worst"
-    )
+    worst = f"{off['max']:.4f} mm and {angle['max']:.4f} deg at worst"
+    wrong = f"linear interpolation is off by {off['rms']:.4f} mm (RMS), {worst}"
     kept = compensation.nothing_to_correct
     done = f"all zero: {no_correction_sentence(job.result)}" if kept else wrong
     comments = job.comments(f"corrections from {job.result}; {done}; {frame_words(compensation)}")
@@ -304,9 +298,7 @@ def compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
         "interpolation_mm": off,
         "interpolation_deg": {"max": angle["max"]},
     }
-    more = (
-        [] if kept else [f"{wrong[0].upper()}{wrong[1:]}, at {len(corrections.position_errors)} points between nodes"]
-    )
+    at = f"{wrong[0].upper()}{wrong[1:]}, at {len(corrections.position_errors)} points between nodes"
     what = count_noun(len(corrections.nodes), "node"), "with corrections", "all zero"
     subjects = "At the nodes the tool", ""
-    job.report(compensation, figures, {"n_nodes": len(corrections.nodes)}, what, more, subjects)
+    job.report(compensation, figures, {"n_nodes": len(corrections.nodes)}, what, [] if kept else [at], subjects)

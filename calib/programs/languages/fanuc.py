@@ -18,11 +18,11 @@ import numpy as np
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import State, Unknown
 from calib.programs.languages.harmless import FANUC, FANUC_OPTIONS
-from calib.programs.languages.reader import Frame, Frames, Reached, Reader, as_selected_frame
-from calib.programs.languages.robot_program import Configuration, LeftOutError, Place, ProgramTarget
+from calib.programs.languages.reader import Data, Frame, Frames, Reached, Reader, as_selected_frame
+from calib.programs.languages.robot_program import Configuration, LeftOutError, ProgramTarget
 from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_pattern
 
-WORDS = word_pattern(
+_WORDS = word_pattern(
     r"^[^\S\n]*\d*:[^\S\n]*(?:!|//)[^\n]*|^[^\S\n]*\d*:|(?i:MESSAGE)\[[^\]\n]*\]",
     r"[$#]?[^\W\d]\w*",
     r"<>|<=|>=|[-+*/%()\[\]{}=<>,.;:!&@#?^|~$]",
@@ -34,12 +34,8 @@ _POSE, _JOINTS = ("X", "Y", "Z", "W", "P", "R"), ("J1", "J2", "J3", "J4", "J5", 
 _TURNING = (0, 3, 4, 5)  # joints that CONFIG keeps within half a turn
 
 
-def sections_of(source: ProgramSource) -> tuple[slice, slice]:
-    """Return the text ranges of the instructions and of the positions of a program.
-
-    Raises:
-        DataError: The program has no such sections.
-    """
+def _sections(source: ProgramSource) -> tuple[slice, slice]:
+    """The text ranges of the instructions and of the positions of a program."""
     sections = {match[1]: match for match in reversed([*_SECTION.finditer(source.text)])}
     if not {"MN", "POS"} <= set(sections) or sections["MN"].start() > sections["POS"].start():
         raise DataError(f"{source.path}: has no /MN and /POS sections; save the program as text (LS)")
@@ -47,47 +43,31 @@ def sections_of(source: ProgramSource) -> tuple[slice, slice]:
     return slice(sections["MN"].end(), sections["POS"].start()), slice(sections["POS"].end(), end)
 
 
-@dataclass(frozen=True)
-class FanucPosition:
+@dataclass(frozen=True, kw_only=True)
+class _FanucPosition(Data):
     """A position of `/POS`.
 
     Attributes:
         code: Words of the section.
-        text_start: Index of the position's first word.
         groups: Names of its motion groups.
         fields: By name of each field of the first group: index of its equals sign, span of its number, and its unit.
         statements: Values after colons: UF, UT, CONFIG.
     """
 
     code: ProgramWords
-    text_start: int
     groups: tuple[str, ...]
     fields: Mapping[str, tuple[int, Span, str]]
     statements: Mapping[str, str]
 
-    @property
-    def place(self) -> Place:
-        """File and first word."""
-        return 0, self.text_start
-
-    @property
-    def name(self) -> str:
-        """Name in messages, such as `P[1]`."""
-        return f"P[{number_at(self.code, self.text_start)}]"
-
     def target(self) -> ProgramTarget:
-        """Return the target, with the numbers of its frame and tool.
+        """Return the target, or raise `LeftOutError` or `DataError` if it cannot be compensated or is not complete.
 
         Letters of CONFIG compare with the reference pose. N, U, T: the same side as in that pose; F: wrist flipped, D:
         elbow down, B: behind axis 1. All turns must be 0.
-
-        Raises:
-            LeftOutError: External axes or other motion groups move, or the configuration counts turns.
-            DataError: The position is not complete.
         """
         if self.groups != ("GP1",):
             raise LeftOutError("moves other motion groups, which the description does not have")
-        text, line, path = self.code.source.text, self.code.line(self.text_start), self.code.source.path
+        text, line, path = self.code.source.text, self.code.line(self.span[0]), self.code.source.path
         if any(float(text[slice(*number)]) for key, (_, number, _) in self.fields.items() if key.startswith("E")):
             raise LeftOutError("moves external axes, which the description does not have")
         if set(_JOINTS) <= set(self.fields):
@@ -108,7 +88,7 @@ class FanucPosition:
         return ProgramTarget(line, path, self.name, cells, "xyz", configuration=configuration)
 
     def _error(self, what: str) -> DataError:
-        return DataError(f"{self.code.location(self.text_start)}: {what}")
+        return DataError(f"{self.code.location(self.span[0])}: {what}")
 
     def _cells(self, names: Sequence[str]) -> tuple[Number, ...]:
         """Numbers with the blanks before them, which leave room for a sign."""
@@ -120,30 +100,26 @@ class FanucPosition:
         return tuple(cells)
 
 
-def number_at(code: ProgramWords, at: int) -> str:
-    """Return the number in brackets after a word, without its comment."""
+def _number_at(code: ProgramWords, at: int) -> str:
+    """The number in brackets after a word, without its comment."""
     return code.tokens[at + 2].text.partition(":")[0].strip()
 
 
-def positions_of(source: ProgramSource, part: slice) -> dict[str, FanucPosition]:
-    """Return the positions of a section by their numbers as text.
-
-    Raises:
-        DataError: A position stands there twice.
-    """
-    code, positions = ProgramWords(source, WORDS, lines="blank", part=part), dict[str, FanucPosition]()
+def _positions(source: ProgramSource, part: slice) -> dict[str, _FanucPosition]:
+    """The positions of a section by their numbers as text."""
+    code, positions = ProgramWords(source, _WORDS, lines="blank", part=part), dict[str, _FanucPosition]()
     for at in code.names(0, len(code.tokens) - 5):
         opening = code.partner[at + 1] + 1
         if code.tokens[at].text != "P" or not code.is_mark(at + 1, "[") or not code.is_mark(opening, "{"):
             continue
-        number = number_at(code, at)
+        number = _number_at(code, at)
         if number in positions:
             raise DataError(f"{code.location(at)}: P[{number}] is in /POS twice; save the program again")
         positions[number] = _position(code, at, opening + 1, code.partner[opening])
     return positions
 
 
-def _position(code: ProgramWords, at: int, first: int, stop: int) -> FanucPosition:
+def _position(code: ProgramWords, at: int, first: int, stop: int) -> _FanucPosition:
     groups, fields, written = [], dict[str, tuple[int, Span, str]](), dict[str, str]()
     for k in code.names(first, stop):
         name = code.tokens[k].text
@@ -158,7 +134,8 @@ def _position(code: ProgramWords, at: int, first: int, stop: int) -> FanucPositi
                 if name in fields:
                     raise DataError(f"{code.location(k)}: {name} is given twice; save the program again")
                 fields[name] = (code.tokens[k + 1].end, number, unit)
-    return FanucPosition(code, at, tuple(groups), fields, written)
+    name = f"P[{_number_at(code, at)}]"
+    return _FanucPosition(name, 0, (at, stop), code=code, groups=tuple(groups), fields=fields, statements=written)
 
 
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
@@ -174,10 +151,10 @@ class FanucReader(Reader):
 
     def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
         source = ProgramSource.read(path, "a FANUC program as text (LS)")
-        instructions, positions = sections_of(source)
-        code = ProgramWords(source, WORDS, lines="blank", ends=";", part=instructions)
+        instructions, positions = _sections(source)
+        code = ProgramWords(source, _WORDS, lines="blank", ends=";", part=instructions)
         super().__init__([code], dict.fromkeys(_STATE, ""), frames, FANUC | set(harmless))
-        self.positions = positions_of(source, positions)
+        self.positions = _positions(source, positions)
         self.given = set(harmless)
 
     def read(self, at: int = 0) -> None:
@@ -187,7 +164,7 @@ class FanucReader(Reader):
         self.flow.label("any label")
         for at in code.names(0, len(code.tokens) - 3):
             if code.tokens[at].text == "LBL" and (at == 0 or code.tokens[at - 1].kind == "end"):
-                self.flow.note_jump(f"label {number_at(self.code, at)}")
+                self.flow.note_jump(f"label {_number_at(self.code, at)}")
         self.flow.label("first")
         super().read()
 
@@ -197,7 +174,7 @@ class FanucReader(Reader):
             return "PR"
         number = self.code.tokens[span[0] + 2]
         plain = span[1] == span[0] + 4 and (number.kind == "number" or ":" in number.text)
-        return f"P[{number_at(self.code, span[0]) if plain else '*'}]"
+        return f"P[{_number_at(self.code, span[0]) if plain else '*'}]"
 
     def names(self, first: int, stop: int) -> set[str]:
         """Return the registers and positions in a span of words."""
@@ -240,10 +217,10 @@ class FanucReader(Reader):
         elif word in ("ENDIF", "ENDFOR"):
             self.close(at, stop)
         elif word == "LBL" and code.is_mark(at + 1, "["):
-            self.flow.label(f"label {number_at(self.code, at)}")
+            self.flow.label(f"label {_number_at(self.code, at)}")
         elif word == "JMP":
             plain = code.is_mark(at + 2, "[") and code.partner[at + 2] == at + 4
-            self.flow.jump(f"label {number_at(self.code, at + 1)}" if plain else "any label")
+            self.flow.jump(f"label {_number_at(self.code, at + 1)}" if plain else "any label")
         elif word in ("END", "ABORT"):
             self.flow.jump("return")
         elif equals < stop and code.tokens[at].kind == "name":
@@ -305,7 +282,7 @@ class FanucReader(Reader):
             lambda position, state: self._target(position, state, changed),
         )
 
-    def _position(self, span: Span, options: Span, changed: int | None) -> FanucPosition:
+    def _position(self, span: Span, options: Span, changed: int | None) -> _FanucPosition:
         name = self._place(span)
         if name == "PR":
             raise LeftOutError("is a position register; its numbers are not in the program")
@@ -325,7 +302,7 @@ class FanucReader(Reader):
             if not known and self.code.tokens[at - 1].text != "CALL":
                 raise LeftOutError(f"has an option that is not known here ({self.code.excerpt(at, at + 1)})")
 
-    def _target(self, position: FanucPosition, state: State, changed: int | None) -> Reached:
+    def _target(self, position: _FanucPosition, state: State, changed: int | None) -> Reached:
         """The target of a motion."""
         why = self.uses.why_not(position.name) or self.uses.why_not("P[*]")
         if changed is not None:

@@ -265,12 +265,7 @@ class RapidReader(Reader):
         return self.code.split(*inside) if inside else []
 
     def _numbers(self, span: Span, count: int, what: str) -> list[tuple[int, int]]:
-        """Return the places of the plain numbers in brackets.
-
-        Raises:
-            LeftOutError: Some part is not a plain number.
-            DataError: Not `count` numbers.
-        """
+        """The places of `count` plain numbers in brackets."""
         spans = self._parts(span)
         numbers = [self.code.number(*part) for part in spans]
         for number, part in zip(numbers, spans, strict=True):
@@ -293,11 +288,7 @@ class RapidReader(Reader):
         return parts
 
     def _pose(self, parts: Sequence[Span]) -> tuple[tuple[Number, ...], pin.SE3]:
-        """Return the numbers of a position and a quaternion, and the pose.
-
-        Raises:
-            DataError: Not two parts.
-        """
+        """The numbers of a position and a quaternion, and the pose."""
         where = self.code.location(parts[0][0])
         if len(parts) != 2:
             raise DataError(f"{where}: a frame is written [[x,y,z],[q1,q2,q3,q4]]; correct it")

@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import pinocchio as pin
 
@@ -109,15 +109,7 @@ class Data:
         return self.file, self.span[0]
 
 
-class HasPlace(Protocol):
-    """An object with a place in the text."""
-
-    @property
-    def place(self) -> Place:
-        """File, and first word of the target's numbers."""
-
-
-_Goal = TypeVar("_Goal", bound=HasPlace)
+_Data = TypeVar("_Data", bound=Data)
 Reached = tuple[ProgramTarget, tuple[Place, ...]]
 """A target, and the places of the data that define its frame and tool."""
 
@@ -242,8 +234,8 @@ class Reader(Statements):
         self,
         spans: Iterable[Span],
         state: State | None,
-        find: Callable[[Span], _Goal],
-        target: Callable[[_Goal, State], Reached],
+        find: Callable[[Span], _Data],
+        target: Callable[[_Data, State], Reached],
     ) -> None:
         """Process the targets of a move.
 
@@ -256,11 +248,11 @@ class Reader(Statements):
         for span in spans:
             visit = Visit(self.sources[0].path, self.code.line(span[0]), self.code.excerpt(*span))
             try:
-                goal = find(span)
+                data = find(span)
                 if state is None:
                     raise LeftOutError("is never reached by the program")
-                visit = replace(visit, place=goal.place)
-                reached, frames = target(goal, state)
+                visit = replace(visit, place=data.place)
+                reached, frames = target(data, state)
                 visit = replace(visit, text=reached.name or visit.text, target=reached, frames=frames)
             except LeftOutError as why:
                 visit = replace(visit, why=str(why))

@@ -16,7 +16,7 @@ from typing import ClassVar
 from calib.programs.languages.control_flow import State, Unknown
 from calib.programs.languages.harmless import URSCRIPT, URSCRIPT_COMPUTED
 from calib.programs.languages.reader import Data, Frame, Frames, Reached, Reader, as_selected_frame
-from calib.programs.languages.robot_program import LeftOutError, Place, Visit, pose_of
+from calib.programs.languages.robot_program import LeftOutError, Visit, pose_of
 from calib.programs.languages.tokens import DEGREE, Number, ProgramSource, ProgramWords, Span, word_pattern
 
 SUFFIXES = (".script", ".urscript")
@@ -37,18 +37,12 @@ The name of the second is also that of a setting, which is unknown while targets
 """
 
 
-@dataclass(frozen=True)
-class _Goal:
+@dataclass(frozen=True, kw_only=True)
+class _Goal(Data):
     """A target, its frame, and stated joints near it."""
 
-    data: Data
     frame: Frame = field(default_factory=Frame)
     near: tuple[float, ...] = ()
-
-    @property
-    def place(self) -> Place:
-        """File, and first word of the target's numbers."""
-        return self.data.place
 
 
 class UrscriptReader(Reader):
@@ -170,8 +164,7 @@ class UrscriptReader(Reader):
         given = sorted(map(self._named_argument, self.code.split(*span)), key=lambda pair: pair[0] not in _GOALS)
         self.go([value for _, value in given[: _MOVES[word]]], state, self._goal, self._target)
 
-    def _target(self, goal: _Goal, state: State) -> Reached:
-        data = goal.data
+    def _target(self, data: _Goal, state: State) -> Reached:
         self.require_constant(data)
         for moved in (state[key] for key in _MOVED_ALONG.values()):
             if isinstance(moved, Unknown):
@@ -180,14 +173,14 @@ class UrscriptReader(Reader):
         if not self._is_pose(data.span):
             return self.target(data, cells)
         return self.target(
-            data, cells, "vector", goal.frame, as_selected_frame("its tool", state["tool"]), near=goal.near
+            data, cells, "vector", data.frame, as_selected_frame("its tool", state["tool"]), near=data.near
         )
 
     def _goal(self, span: Span) -> _Goal:
         """The target that an argument writes out, names, or gives in another frame; else `LeftOutError`."""
         data = self._constant(span)
         if data is not None:
-            return _Goal(data)
+            return _Goal(data.name, data.file, data.span)
         code, word = self.code, self.code.tokens[span[0]]
         inside = code.bracket_content(span[0] + 1, span[1], "(")
         if word.text not in ("get_inverse_kin", "pose_trans") or word.text in self.routines or inside is None:
@@ -209,6 +202,6 @@ class UrscriptReader(Reader):
 
     def _pose_goal(self, span: Span) -> _Goal:
         goal = self._goal(span)
-        if not self._is_pose(goal.data.span):
+        if not self._is_pose(goal.span):
             raise LeftOutError(_AT_RUN_TIME)
         return goal

@@ -21,11 +21,12 @@ def _writer(firmware: str) -> Callable[[Robot, Sequence[str]], FormatFile]:
     return write
 
 
-def _is_linear_delta(robot: Robot) -> bool:
+def is_linear_delta(robot: Robot) -> bool:
+    """Return whether a robot has the parametrisation of delta printers."""
     return robot.description.parametrisation == "linear_delta"
 
 
 FORMATS = tuple(
-    Format(firmware, Holds.ORIGINS, _is_linear_delta, _writer(firmware), comment)
+    Format(firmware, Holds.ORIGINS, is_linear_delta, _writer(firmware), comment)
     for firmware, comment in COMMENTS.items()
 )

@@ -34,10 +34,8 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale, millimetres
-from calib.core.robots.description import Description
 from calib.core.robots.parameters import Origin, ResultUse, twist_of_edit
 from calib.core.robots.urdf.loop_mechanisms import BASE, Plan
-from calib.core.robots.urdf.writing import robot_text
 
 TOWERS = ("a", "b", "c")
 ANGLES = (math.radians(210), math.radians(330), math.radians(90))
@@ -188,11 +186,6 @@ class LinearDelta:
         return result
 
 
-def is_linear_delta(description: Description) -> bool:
-    """Return whether a description has this parametrisation."""
-    return description.parametrisation == NAME
-
-
 def linear_delta_plan(geometry: DeltaGeometry, copies: int = 1) -> Plan:
     """Return the printer, cut open where the arms meet the platform; home is 20 mm high. Distances need two copies."""
     plan, height = Plan("x, y, z"), 0.02
@@ -218,11 +211,6 @@ def linear_delta_plan(geometry: DeltaGeometry, copies: int = 1) -> Plan:
             plan.loops.append((f"platform{suffix}", f"{name}_tip"))
     plan.targets["nozzle"] = ("platform", (0.0, 0.0, 0.0))
     return plan
-
-
-def linear_delta_urdf(plan: Plan, title: str) -> str:
-    """Return the text of a delta's URDF."""
-    return robot_text("linear_delta", title, plan.links, plan.joints)
 
 
 def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int, saved: DeltaGeometry) -> str:

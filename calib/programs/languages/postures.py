@@ -45,7 +45,8 @@ class NominalCell:
     """
 
     def __init__(self, robot: Robot, base: str | None = None, flange: str | None = None) -> None:
-        self.robot, description = robot, robot.description
+        self.robot, description, n = robot, robot.description, len(robot.home)
+        self._lower, self._upper = (limit[:n] for limit in robot.urdf.limits(robot.mechanism.driven))
         links = [*robot.urdf.links]
         target = description.targets[robot.mechanism.moved_targets[0].name].frame
         self.base = self._link(base, "base", description.base.frame, links)
@@ -70,13 +71,10 @@ class NominalCell:
         return given or (usual if usual in links else otherwise)
 
     def _probes(self, count: int) -> FloatArray:
-        lower, upper = self._limits()
+        """Joint values spread over the limits, at most half a turn from home, (count, n_actuated) [m or rad]."""
+        lower = np.maximum(self._lower, self.robot.home - np.pi)
+        upper = np.minimum(self._upper, self.robot.home + np.pi)
         return lower + (upper - lower) * joint_samples(self.robot.mode, count + 1)[1:, : len(lower)]
-
-    def _limits(self) -> tuple[FloatArray, FloatArray]:
-        n = len(self.robot.home)
-        lower, upper = (limit[:n] for limit in self.robot.urdf.limits(self.robot.mechanism.driven))
-        return np.maximum(lower, self.robot.home - np.pi), np.minimum(upper, self.robot.home + np.pi)
 
     def flange_poses(self, q: FloatArray) -> list[pin.SE3]:
         """Return T_base_flange at joints (n, n_actuated) [m or rad]."""
@@ -133,9 +131,7 @@ class NominalCell:
 
     def _with_full_turns(self, q: FloatArray, before: FloatArray, says: Configuration | None) -> FloatArray:
         """The same pose with whole turns of joints added, in the stated ranges and near the pose before."""
-        n = len(before)
-        lower, upper = (limit[:n] for limit in self.robot.urdf.limits(self.robot.mechanism.driven))
-        turned = q[:n].copy()
+        lower, upper, turned = self._lower, self._upper, q[: len(before)].copy()
         for j, name in enumerate(self.robot.joint_names):
             if self.robot.mechanism.dimensions[name] != "angle":
                 continue

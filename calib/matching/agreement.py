@@ -51,6 +51,11 @@ _BEYOND = 1.1  # residuals are not rounding if they are more than this many time
 _ALLOWANCE = 1.25  # factor on the claim, for errors below rounding
 _POSES = 300  # other poses of the claim
 _SURE = 0.99  # part of the draws in which the claim holds
+_MOST = 4  # largest number of hypotheses
+_HALVED = 0.5  # largest part of the sum of squares that remains after another hypothesis
+_ROUNDS = 2  # fits with the joint errors
+_MOST_WAVES = 6  # a turn
+_SEEN = 1e-6  # least part of a column that joint origins cannot absorb; less counts as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,13 +157,6 @@ def other_poses(robot: Robot) -> FloatArray:
         return q[robot.close(q).ok][:_POSES]
     except CalibrationError:
         return q[:_POSES]
-
-
-_MOST = 4  # largest number of hypotheses
-_HALVED = 0.5  # largest part of the sum of squares that remains after another hypothesis
-_ROUNDS = 2  # fits with the joint errors
-_MOST_WAVES = 6  # a turn
-_SEEN = 1e-6  # least part of a column that joint origins cannot absorb; less counts as zero
 
 
 def explanation(

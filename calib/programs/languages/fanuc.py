@@ -32,6 +32,10 @@ _SECTION = re.compile(r"^/(\w+)", re.MULTILINE)
 _CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 _POSE, _JOINTS = ("X", "Y", "Z", "W", "P", "R"), ("J1", "J2", "J3", "J4", "J5", "J6")
 _TURNING = (0, 3, 4, 5)  # joints that CONFIG keeps within half a turn
+LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
+_CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
+_NUMBERED = ("UFRAME_NUM", "UTOOL_NUM")
+_STATE = ("UFRAME", "UTOOL", *_NUMBERED)
 
 
 def _sections(source: ProgramSource) -> tuple[slice, slice]:
@@ -136,12 +140,6 @@ def _position(code: ProgramWords, at: int, first: int, stop: int) -> _FanucPosit
                 fields[name] = (code.tokens[k + 1].end, number, unit)
     name = f"P[{_number_at(code, at)}]"
     return _FanucPosition(name, 0, (at, stop), code=code, groups=tuple(groups), fields=fields, statements=written)
-
-
-LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
-_CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
-_NUMBERED = ("UFRAME_NUM", "UTOOL_NUM")
-_STATE = ("UFRAME", "UTOOL", *_NUMBERED)
 
 
 class FanucReader(Reader):

@@ -198,6 +198,8 @@ class KrlReader(Reader):
         if end < stop:
             self._restore("of the motion")
 
+    # words and numbers
+
     def _word(self, first: int, *words: str) -> int:
         """Return the index of the first of these words in the rest of the line, or of the line's end."""
         while self.code.tokens[first].kind != "end" and self.code.tokens[first].text not in words:
@@ -230,6 +232,8 @@ class KrlReader(Reader):
     def _pose_cells(self, data: Data) -> tuple[Number, ...] | None:
         """Return the numbers of a pose; None unless they are six plain numbers."""
         return self._cells(data, _POSE) if set(_POSE) <= set(self._components(data) or {}) else None
+
+    # tools and bases
 
     def _frame_of(self, data: Data) -> Frame | None:
         cells = self._pose_cells(data)

@@ -29,13 +29,11 @@ from calib.programs.languages.robot_program import Configuration, LeftOutError, 
 from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_pattern
 
 _WORDS = word_pattern(r"![^\n]*", r"[^\W\d]\w*", r":=|<=|>=|<>|[-+*/()\[\]{}=<>,.:;\\?|%]")
-SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # number of components by type
+_SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # number of components by type
 _REFERENCES = ("INOUT", "PERS", "VAR", "REF")
-TWO_TARGETS = re.compile(r"(MOVE|TRIGG|ARC|DISP|PAINT)C")
+_TWO_TARGETS = re.compile(r"(MOVE|TRIGG|ARC|DISP|PAINT)C")
 _BY_NAME = ("SETDATAVAL", "SETALLDATAVAL", "GETDATAVAL")  # set or read data, even LOCAL ones, by a name in a text
 _FIXED = {"TOOL0": Frame(), "WOBJ0": Frame()}
-
-
 SUFFIXES = (".mod", ".modx", ".prg", ".sys")
 _OPERATORS = ("AND", "OR", "XOR", "NOT", "DIV", "MOD")
 _MOVE = re.compile(
@@ -157,7 +155,7 @@ class RapidReader(Reader):
         kind, name = code.tokens[at + 1].text, at + 2
         local = (at > 0 and code.tokens[at - 1].text == "LOCAL") or bool(self.flow.routine)
         equals = code.find_mark(name, stop, ":=")
-        if kind in SIZES:
+        if kind in _SIZES:
             shared = self.sets_by_name or (code.tokens[at].text != "CONST" and not local)
             value = equals + 1, stop
             shown, key = code.excerpt(name, name + 1), code.tokens[name].text
@@ -282,7 +280,7 @@ class RapidReader(Reader):
     def _complete(self, data: Data) -> list[Span]:
         """Return the components of data; `DataError` if some are missing."""
         parts = self._parts(data.span)
-        if len(parts) != SIZES[data.kind]:
+        if len(parts) != _SIZES[data.kind]:
             what = f"{data.kind.lower()} '{data.name}' is not complete; correct it"
             raise DataError(f"{self.code.location(data.span[0])}: {what}")
         return parts
@@ -322,7 +320,7 @@ class RapidReader(Reader):
         """Return the tool of a move, or raise `LeftOutError`."""
         known = [name for name in (self.code.text(*span) for span in spans) if self._is_frame(name, "TOOLDATA")]
         if not known:
-            place = 4 if TWO_TARGETS.match(word) else 3
+            place = 4 if _TWO_TARGETS.match(word) else 3
             name = self.code.excerpt(*spans[place]) if len(spans) > place else "?"
             raise LeftOutError(f"tool '{name}' is not declared here; give its module with --frames")
         return self._usable(known[-1])
@@ -351,7 +349,7 @@ class RapidReader(Reader):
     # targets
 
     def _targets(self, word: str, spans: Sequence[Span], options: Mapping[str, Span], state: State | None) -> None:
-        targets = list(spans[: 2 if TWO_TARGETS.match(word) else 1])
+        targets = list(spans[: 2 if _TWO_TARGETS.match(word) else 1])
         if word.startswith("SEARCH"):
             targets = [span for span in spans[:4] if self.code.text(*span) in self.declared][-1:] or targets
         self.go(

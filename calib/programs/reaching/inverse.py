@@ -57,13 +57,12 @@ class Search:
         n = len(reach.goals)
         start = robot.assemble(_within_joint_limits(reach, robot.home))
         self.reach, self.home = reach, GoalConfigurations.unknown(start.actuated, start.passive)
-        home = self.home
         self._reached = TOLERANCE * min(1.0, reach.mechanism.length)
-        self.best = reach.as_given(np.arange(n), home.subset(np.zeros(n, dtype=np.intp)))
+        self.best = reach.as_given(np.arange(n), self.home.subset(np.zeros(n, dtype=np.intp)))
         goal_features = _features(
             reach.goals.positions, reach.goals.rotations, reach.goals.directions, reach.mechanism.length
         )
-        self._features = np.where(np.isnan(goal_features), self._features_at(home), goal_features)
+        self._features = np.where(np.isnan(goal_features), self._features_at(self.home), goal_features)
 
     @property
     def is_solved(self) -> BoolArray:

@@ -70,10 +70,8 @@ def dh_file(robot: Robot, convention: Convention, provenance: Sequence[str] = ()
         f"the pose of {chain.tip} in {chain.base} is the product of the rows in their order, each {product};",
         "sign * q adds to theta of revolute joints and to d of prismatic ones; base and tool do not move",
     ]
-    if any(row.beta for row in table.rows):
-        lines.append(
-            "beta is Hayati's angle between nearly parallel axes; a controller without it cannot hold the table"
-        )
+    hayati = "beta is Hayati's angle between nearly parallel axes; a controller without it cannot hold the table"
+    lines += [hayati] if any(row.beta for row in table.rows) else []
     lines += [statement, _tool_text(chain), *provenance_lines(robot), *provenance]
     return ControllerFile(format_dh(table, lines).encode(), statement, left)
 
@@ -249,14 +247,9 @@ def xacro_origins(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
         lines.append(f'  <xacro:property name="{name}_rpy" value="{numbers(rpy)}"/>')
     statement = f"holds every joint origin exactly{_terms_text(robot)}; no base or target position"
     head = comment(["calib: joint origins for a xacro to include", statement, *provenance_lines(robot), *provenance])
-    text = [
-        '<?xml version="1.0"?>',
-        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">',
-        head,
-        *lines,
-        "</robot>",
-    ]
-    return ControllerFile(("\n".join(text) + "\n").encode("ascii"), statement, None)
+    first = '<?xml version="1.0"?>\n<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    text = "\n".join([first, head, *lines, "</robot>"])
+    return ControllerFile(f"{text}\n".encode("ascii"), statement, None)
 
 
 def _joint_zeros(robot: Robot, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -23,7 +23,7 @@ def _not_read(name: str, head: str, pattern: bytes, way: str) -> OtherFormat:
     return OtherFormat(name, head, way, _begins(pattern))
 
 
-def _by_head(
+def _test_and_reader(
     find: Callable[[SomeFile], _Head | None], read: Callable[[SomeFile, _Head], list[str]]
 ) -> tuple[Callable[[SomeFile], bool], Callable[[SomeFile], list[str]]]:
     """Return test and reader of a format whose reader needs the head that makes the test true."""
@@ -131,19 +131,19 @@ FORMATS = (
         "a report of measured and nominal values, as PolyWorks and FARO write it",
         "`Name` with `Meas X`, `Actual X`, ...; or `Meas` and a column that names the axes X, Y, Z, one in each row",
         "columns pose (the name), and measured X, Y, Z; the header or a line above states their unit",
-        *_by_head(reports.find_layout, reports.report_lines),
+        *_test_and_reader(reports.find_layout, reports.report_lines),
     ),
     OtherFormat(
         "a table with names above X, Y, Z, as Vicon and TRC files have them",
         "a line of names; the next line is `X,Y,Z,X,Y,Z,...` or `X1,Y1,Z1,X2,...`",
         "columns NAME_x, NAME_y, NAME_z, with the units of the line below",
-        *_by_head(text.find_axes, text.named_above_lines),
+        *_test_and_reader(text.find_axes, text.named_above_lines),
     ),
     OtherFormat(
         "a table whose header is a comment, as SpatialAnalyzer and np.savetxt write it",
         "the last comment (`//`, `#`, `%`) names the columns of the numbers below it",
         "that comment is the header; a unit after Z is that of X and Y",
-        *_by_head(text.find_commented_header, text.commented_header_lines),
+        *_test_and_reader(text.find_commented_header, text.commented_header_lines),
     ),
     OtherFormat(
         "a table separated by blanks",
@@ -177,7 +177,7 @@ FORMATS = (
         "a table with U95 of each point, as Leica's programs write it",
         "a column `U95`, or `U95 X`, `U95 Y`, `U95 Z`",
         "U95 is twice the standard deviation of each coordinate, which becomes its stated noise",
-        *_by_head(text.find_expanded_uncertainty, text.expanded_uncertainty_lines),
+        *_test_and_reader(text.find_expanded_uncertainty, text.expanded_uncertainty_lines),
     ),
     OtherFormat(
         "text in UTF-16 or Latin-1",

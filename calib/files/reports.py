@@ -23,7 +23,7 @@ _NAMES = ("name", "object name", "object", "point", "point name", "feature", "fe
 
 
 @dataclass(frozen=True)
-class Layout:
+class ReportLayout:
     """The columns of a report.
 
     Attributes:
@@ -41,7 +41,7 @@ class Layout:
     unit: str | None
 
 
-def find_layout(file: SomeFile) -> Layout | None:
+def find_layout(file: SomeFile) -> ReportLayout | None:
     """Return the columns of a file with measured coordinates; None for another file."""
     lines = [cells_of(line) for line in file.first_lines[:SEEN]]
     for k, cells in enumerate(lines):
@@ -49,22 +49,19 @@ def find_layout(file: SomeFile) -> Layout | None:
         name = next((j for j, cell in enumerate(folded) if cell in _NAMES), None)
         if name is None:
             continue
-        found = {
-            (m["a"] or m["b"]).casefold(): (j, m["unit"])
-            for j, c in enumerate(cells)
-            if (m := _COORDINATE.fullmatch(c))
-        }
+        matches = [(j, m) for j, cell in enumerate(cells) if (m := _COORDINATE.fullmatch(cell))]
+        found = {(m["a"] or m["b"]).casefold(): (j, m["unit"]) for j, m in matches}
         if len(found) == 3:
-            return Layout(k, name, tuple(found[axis][0] for axis in "xyz"), None, found["z"][1])
+            return ReportLayout(k, name, tuple(found[axis][0] for axis in "xyz"), None, found["z"][1])
         value = next(((j, m["unit"]) for j, c in enumerate(cells) if (m := _VALUE.fullmatch(c))), None)
         below = [row for row in lines[k + 1 :] if len(row) == len(cells)]
         control = next((j for j in range(len(cells)) if {"X", "Y", "Z"} <= {row[j].upper() for row in below}), None)
         if value is not None and control is not None:
-            return Layout(k, name, (value[0],), control, value[1])
+            return ReportLayout(k, name, (value[0],), control, value[1])
     return None
 
 
-def report_lines(file: SomeFile, layout: Layout) -> list[str]:
+def report_lines(file: SomeFile, layout: ReportLayout) -> list[str]:
     """Return a header and a row for each point.
 
     Raises:

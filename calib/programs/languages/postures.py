@@ -162,7 +162,7 @@ class Sides:
         joints = {joint.name: joint for joint in robot.urdf.joints}
         self._joints = [joints[name] for name in robot.joint_names]
         self._known = len(self._joints) == 6 and not robot.mechanism.loops
-        self._reference = self._measures(reference) if self._known else (None, 0.0, 0.0)
+        self._reference = self._measures(reference) if self._known else (np.zeros(3), 0.0, 0.0)
 
     def sides_at(self, q: FloatArray) -> tuple[bool | None, bool | None, bool | None, bool | None]:
         """Return whether wrist, elbow and joint 5 are on another side than in the reference, and joint 3 is bent.
@@ -176,17 +176,11 @@ class Sides:
             return None, None, None, None
         out, line, wrist = self._measures(q)
         reference, reference_line, reference_wrist = self._reference
-        assert out is not None
-        assert reference is not None
-        behind = float(out @ reference)
-        return (
-            behind < 0 if abs(behind) > _ALIKE else None,
-            line * reference_line < 0 if abs(line * reference_line) > _ALIKE else None,
-            wrist * reference_wrist < 0 if abs(wrist * reference_wrist) > _ALIKE else None,
-            line > 0 if abs(line) > _ALIKE else None,
-        )
+        products = (float(out @ reference), line * reference_line, wrist * reference_wrist, -line)
+        behind, elbow, flipped, bent = (value < 0 if abs(value) > _ALIKE else None for value in products)
+        return behind, elbow, flipped, bent
 
-    def _measures(self, q: FloatArray) -> tuple[FloatArray | None, float, float]:
+    def _measures(self, q: FloatArray) -> tuple[FloatArray, float, float]:
         """The wrist from axis 1 in link 1 [m], a signed measure of elbow bend [m^2], and the value of joint 5 [rad]."""
         links = [np.asarray(self.robot.forward(q, joint.child)) for joint in self._joints]
         first, second, third, wrist = links[0], links[1][:3, 3], links[2][:3, 3], links[4][:3, 3]

@@ -152,10 +152,11 @@ def compensate_moves(
         needed = np.ceil(_RESERVE * pieces[active] * np.sqrt(off / tolerance)).astype(np.intp)
         pieces[active] = np.maximum(needed, 2 * pieces[active])
         _require_length(moves, active, lengths[active] / pieces[active], off, tolerance)
+    in_order = [ways[k] for k in range(len(lengths))]
     return CompensatedMoves(
-        tuple(ways[k].waypoints[1:] for k in range(len(lengths))),
-        np.array([ways[k].before for k in range(len(lengths))]),
-        np.array([ways[k].expected for k in range(len(lengths))]),
+        tuple(way.waypoints[1:] for way in in_order),
+        np.array([way.before for way in in_order]),
+        np.array([way.expected for way in in_order]),
         deviations,
         n_measured,
         frame.words,

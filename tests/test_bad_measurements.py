@@ -11,7 +11,7 @@ from small_robots import write_arm, write_parallelogram
 import calib
 from calib.core.robots.file_formats import formats
 from calib.exporting.formats import JOINT_TABLES
-from calib.printers.file_formats import COMMENTS as FIRMWARES
+from calib.printers import COMMENTS as FIRMWARES
 
 SIGMA = 4e-5
 NOT_FOR_ARMS = ("ur-kinematics", "rotary-axes", JOINT_TABLES, *FIRMWARES)

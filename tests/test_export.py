@@ -22,7 +22,7 @@ from calib.exporting.closed_model import closed_model, home_values, link_poses
 from calib.exporting.command import command
 from calib.exporting.formats import JOINT_TABLES, export
 from calib.exporting.mjcf import mjcf
-from calib.printers.file_formats import COMMENTS as FIRMWARES
+from calib.printers import COMMENTS as FIRMWARES
 from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

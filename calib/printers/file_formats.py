@@ -7,9 +7,7 @@ from collections.abc import Callable, Sequence
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import Format, FormatFile
 from calib.core.robots.robot import Robot
-
-COMMENTS = {"klipper": "#", "marlin": ";", "duet": ";"}
-"""The firmwares, and the mark of comments in their settings."""
+from calib.printers import COMMENTS
 
 
 def _writer(firmware: str) -> Callable[[Robot, Sequence[str]], FormatFile]:
@@ -21,12 +19,11 @@ def _writer(firmware: str) -> Callable[[Robot, Sequence[str]], FormatFile]:
     return write
 
 
-def is_linear_delta(robot: Robot) -> bool:
-    """Return whether a robot has the parametrisation of delta printers."""
+def _is_linear_delta(robot: Robot) -> bool:
     return robot.description.parametrisation == "linear_delta"
 
 
 FORMATS = tuple(
-    Format(firmware, Holds.ORIGINS, is_linear_delta, _writer(firmware), comment)
+    Format(firmware, Holds.ORIGINS, _is_linear_delta, _writer(firmware), comment)
     for firmware, comment in COMMENTS.items()
 )

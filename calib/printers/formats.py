@@ -13,8 +13,8 @@ from calib.core.base.errors import InputError
 from calib.core.base.units import PER_SI, millimetres
 from calib.core.robots.file_formats import FormatFile
 from calib.core.robots.robot import Robot
-from calib.printers.file_formats import COMMENTS, is_linear_delta
-from calib.printers.linear_delta import ANGLES, PARAMETERS, TOWERS, DeltaGeometry
+from calib.printers import COMMENTS
+from calib.printers.linear_delta import ANGLES, NAME, PARAMETERS, TOWERS, DeltaGeometry
 
 
 def geometry_of(robot: Robot) -> DeltaGeometry:
@@ -23,7 +23,7 @@ def geometry_of(robot: Robot) -> DeltaGeometry:
     Raises:
         InputError: The robot is no linear delta.
     """
-    if not is_linear_delta(robot):
+    if robot.description.parametrisation != NAME:
         raise InputError(
             f"{robot.path}: is not a delta printer; formats {', '.join(COMMENTS)} need the parametrisation"
             " linear_delta, as calib init --klipper writes it"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -18,18 +18,28 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.core.base.words import listing
+from calib.core.calibrating.file_robots import with_zeros
 from calib.core.data.dh_files import format_dh
+from calib.core.data.in_memory import as_measurements
+from calib.core.data.measurements import Measurements
 from calib.core.data.table_writing import format_table
+from calib.core.fitting.fit import fit_data
+from calib.core.fitting.settings import Settings
+from calib.core.instruments.position import Position, PositionSection
 from calib.core.results.urdf import comment, numbers, provenance_lines, source_lines
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import FormatFile, error_comparison
+from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.robot import Robot
+from calib.core.robots.robot_files import without_terms
 from calib.core.robots.urdf.denavit_hartenberg import Convention, DhRow, Kind, dh_table
 from calib.core.robots.urdf.ur_kinematics import JOINTS, KEYS, LINKS
-from calib.exporting.joint_zeros import joint_zeros
+from calib.core.rows.registration import register
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
 from calib.exporting.toolbox import ExactDumper
 
+_EXACT = 1e-9  # noise of predicted positions [m]: so small that priors decide only what positions leave open
+_NOTHING = 1e-12  # smaller offsets are zero [m or rad]
 _FITTED = 0.25  # part of the poses from which offsets are found; the others give their error
 
 
@@ -60,10 +70,8 @@ def dh_file(robot: Robot, convention: Convention, provenance: Sequence[str] = ()
         f"the pose of {chain.tip} in {chain.base} is the product of the rows in their order, each {product};",
         "sign * q adds to theta of revolute joints and to d of prismatic ones; base and tool do not move",
     ]
-    if any(row.beta for row in table.rows):
-        lines.append(
-            "beta is Hayati's angle between nearly parallel axes; a controller without it cannot hold the table"
-        )
+    hayati = "beta is Hayati's angle between nearly parallel axes; a controller without it cannot hold the table"
+    lines += [hayati] if any(row.beta for row in table.rows) else []
     lines += [statement, _tool_text(chain), *provenance_lines(robot), *provenance]
     return ControllerFile(format_dh(table, lines).encode(), statement, left)
 
@@ -187,16 +195,15 @@ def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
 def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
     """Return a sign and a zero correction for each joint with a motor, and the error that remains with them.
 
-    For a fit, they reproduce its measurements best; otherwise `joint_zeros` finds them over the joint ranges.
+    For a fit, they reproduce its measurements best; otherwise they bring the nominal model nearest to the robot.
     """
     file_robot, placed = robot.files.get(Holds.ZEROS), any(p.placement for p in robot.parameters)
     anew = ", base and target placed anew" if placed else ""
     if file_robot is None:
         q, where = judging_poses(robot)
-        zeros = joint_zeros(robot, q, fitted=_FITTED)
-        left, before = (Remainder.from_distances(distances, where) for distances in (zeros.errors, zeros.errors_before))
+        signs, offsets, *errors = _joint_zeros(robot, q)
+        left, before = (Remainder.from_distances(distances, where) for distances in errors)
         reached = f"{left.text()}; the nominal model without them has {millimetres(before.rms):.4g} mm RMS"
-        signs, offsets = zeros.signs, zeros.offsets
     else:
         left, reached = None, error_comparison(robot, Holds.ZEROS)
         signs, offsets = file_robot.signs, file_robot.offsets
@@ -240,11 +247,44 @@ def xacro_origins(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
         lines.append(f'  <xacro:property name="{name}_rpy" value="{numbers(rpy)}"/>')
     statement = f"holds every joint origin exactly{_terms_text(robot)}; no base or target position"
     head = comment(["calib: joint origins for a xacro to include", statement, *provenance_lines(robot), *provenance])
-    text = [
-        '<?xml version="1.0"?>',
-        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">',
-        head,
-        *lines,
-        "</robot>",
-    ]
-    return ControllerFile(("\n".join(text) + "\n").encode("ascii"), statement, None)
+    first = '<?xml version="1.0"?>\n<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    text = "\n".join([first, head, *lines, "</robot>"])
+    return ControllerFile(f"{text}\n".encode("ascii"), statement, None)
+
+
+def _joint_zeros(robot: Robot, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The joint zeros that bring the nominal model nearest to a robot without a fit.
+
+    The nominal model is fitted to positions that the robot predicts, by the same method as the zeros of a fit's files
+    (`calib.core.calibrating.file_robots`). Free are the zeros, and base and targets if the description calls them
+    unknown. Errors that base or target can explain as well as a zero are left to base or target. Poses at which loops
+    of the nominal model do not close are dropped.
+
+    Args:
+        q: Poses, (n, n_joints) [m or rad]; the offsets are found from the first of them, a part of `_FITTED`.
+
+    Returns:
+        For each joint, sign and offset in sign * q + offset, (n_joints,) [m or rad]. Errors of each target with and
+        without these zeros, (n_poses, n_targets) [m].
+    """
+    positions = robot.positions(q)
+    actual = actual_joints(robot, q, term_columns(robot, q))[:, : q.shape[1]]
+    signs = np.where(np.sum((q - q.mean(axis=0)) * (actual - actual.mean(axis=0)), axis=0) < 0, -1.0, 1.0)
+    reading = tuple(Position.from_section(name, PositionSection(kind="position")) for name in robot.target_names)
+    plain = replace(without_terms(robot, Holds.ZEROS).with_nominal_values(), instruments=reading)
+    some = np.flatnonzero(plain.close(signs * q).ok)[: int(np.ceil(_FITTED * len(q)))]
+    found = fit_data(with_zeros(plain), Settings(sigma=_EXACT), _read(plain, signs * q[some], positions[some])).robot
+    offsets = found.values[found.coefficients]
+    offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)
+    return signs, offsets, _errors(plain, signs * q + offsets, positions), _errors(plain, q, positions)
+
+
+def _read(robot: Robot, q: FloatArray, positions: FloatArray) -> Measurements:
+    return as_measurements(robot, q, {name: positions[:, k] for k, name in enumerate(robot.target_names)})
+
+
+def _errors(plain: Robot, q: FloatArray, positions: FloatArray) -> FloatArray:
+    """Error of each target after placing base and targets for these poses, (n_closed, n_targets) [m]."""
+    closes = plain.close(q).ok
+    placed = register(plain, _read(plain, q[closes], positions[closes]))
+    return np.linalg.norm(placed.positions(q[closes]) - positions[closes], axis=2)

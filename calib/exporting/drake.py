@@ -21,30 +21,27 @@ from calib.exporting.closed_model import ClosedModel, Marker, Tie, servo_gains, 
 
 NAMESPACE = "http://drake.mit.edu"
 
-_ARM = 0.1  # distance of the second and third point from the first in a tie of whole frames [m]
+_ARMS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
+"""Points of link a that are fixed in link b, (3, 3) [m]; the first alone for a tie of a point."""
 
 
 def drake_bytes(model: ClosedModel, provenance: Sequence[str] = ()) -> bytes:
     """Return the URDF for Drake; `provenance` are lines of its comment."""
     origin = [*provenance, *provenance_lines(model.robot)]
     lines = [comment(["calib: a closed robot for Drake", *origin, *tie_lines(model)])]
-    lines += [_ball(tie, point) for tie in model.ties for point in _points(tie)]
+    lines += [_ball(tie, point) for tie in model.ties for point in _ARMS[: 3 if tie.full_pose else 1]]
     lines += [_frame(marker) for marker in model.markers]
-    lines += _transmissions(model)
     urdf = model.urdf
+    entries = element_tree(urdf.source).iterfind("transmission")
+    moved = {joint.get("name") for entry in entries for joint in entry.iterfind("joint")}
+    motors = zip(model.actuated, model.inertia, strict=True)
+    lines += [_transmission(name, inertia) for name, inertia in motors if name not in moved]
     text = "\n" + "\n".join(lines) + "\n"
     closed = parse_urdf(with_inserted(urdf, text, at=urdf.end), urdf.path)
     tag = closed.source[slice(*closed.root_span)]
     if b"xmlns:drake" in tag:
         return closed.source
     return with_inserted(closed, f' xmlns:drake="{NAMESPACE}"', at=closed.root_span[0] + len("<robot"))
-
-
-def _points(tie: Tie) -> list[FloatArray]:
-    """Points of link a that are fixed in link b."""
-    if not tie.full_pose:
-        return [np.zeros(3)]
-    return [np.zeros(3), np.array([_ARM, 0.0, 0.0]), np.array([0.0, _ARM, 0.0])]
 
 
 def _ball(tie: Tie, point: FloatArray) -> str:
@@ -65,18 +62,8 @@ def _frame(marker: Marker) -> str:
     )
 
 
-def _transmissions(model: ClosedModel) -> list[str]:
-    """An actuator with servo gains for each motor without an actuator in the file."""
-    root = element_tree(model.urdf.source)
-    present = {joint.get("name") for entry in root.iterfind("transmission") for joint in entry.iterfind("joint")}
-    return [
-        _transmission(name, inertia)
-        for name, inertia in zip(model.actuated, model.inertia, strict=True)
-        if name not in present
-    ]
-
-
 def _transmission(name: str, inertia: float) -> str:
+    """An actuator with servo gains."""
     stiffness, damping = servo_gains(inertia)
     return (
         f"  <transmission name={quote_attribute(name + '_transmission')}>\n"

@@ -14,7 +14,7 @@ from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.exporting.closed_model import closed_model
 from calib.exporting.drake import drake_bytes
-from calib.exporting.functions.languages import LANGUAGES, function_file
+from calib.exporting.file_formats import LANGUAGES, function_file
 from calib.exporting.gap import Gap, loop_gaps
 from calib.exporting.joint_tables import joint_table_files, lost_by_tables, require_own_terms
 from calib.exporting.mjcf import mjcf

@@ -13,7 +13,7 @@ beside the tables. Tables must not be used with the origins of another file.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,11 +62,17 @@ def joint_tables(robot: Robot) -> tuple[JointTable, ...]:
     """
     require_own_terms(robot)
     kept = without_terms(robot, Holds.TABLES)
-    bound, start = dict.fromkeys(kept.joint_names, 0.0), kept.coefficients.start
-    for term in kept.terms:
-        indices = slice(start, start := start + len(term.parameters))
-        bound[term.joint] += term.curvature(kept.values[indices])
+    bound = dict.fromkeys(kept.joint_names, 0.0)
+    for term, values in term_values(kept):
+        bound[term.joint] += term.curvature(values)
     return tuple(_table(kept, joint, curvature) for joint, curvature in bound.items())
+
+
+def term_values(robot: Robot) -> Iterator[tuple[JointTerm, FloatArray]]:
+    """Yield each joint term with the values of its parameters, (n_parameters,) [SI]."""
+    start = robot.coefficients.start
+    for term in robot.terms:
+        yield term, robot.values[start : (start := start + len(term.parameters))]
 
 
 def require_own_terms(robot: Robot) -> None:
@@ -80,12 +86,8 @@ def require_own_terms(robot: Robot) -> None:
 
 def lost_by_tables(robot: Robot) -> list[str]:
     """Return the errors of a robot that no table can hold, with their sizes, one line each."""
-    left, start = [], robot.coefficients.start
-    for term in robot.terms:
-        indices = slice(start, start := start + len(term.parameters))
-        if not Holds.TABLES.keeps(term):
-            left.append(_remark_on_rest(robot, indices, term))
-    return left
+    left = ((term, values) for term, values in term_values(robot) if not Holds.TABLES.keeps(term))
+    return [_remark_on_rest(term, values, robot.mechanism.dimensions[term.joint]) for term, values in left]
 
 
 def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
@@ -113,10 +115,9 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
     return JointTable(joint, dimension, commands, actual(commands))
 
 
-def _remark_on_rest(robot: Robot, indices: slice, term: JointTerm) -> str:
+def _remark_on_rest(term: JointTerm, values: FloatArray, dimension: Dimension) -> str:
     """A sentence on the part of a joint's error that is not in its table."""
-    dimension = robot.mechanism.dimensions[term.joint]
-    size = quantity_text(float(np.max(np.abs(robot.values[indices]))), dimension)
+    size = quantity_text(float(np.max(np.abs(values))), dimension)
     columns = [f"the column '{name}'" for name in term.reads()]
     depends_on = listing([*(condition.words for condition in term.depends_on), *columns])
     remainder = f"{size} {term.per}".rstrip()

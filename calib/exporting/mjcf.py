@@ -170,12 +170,8 @@ class _Writer:
 
     def _carried_mass(self, name: str) -> float:
         """Mass of the links fixed to a link [kg]."""
-        total = 0.0
-        for joint in self.children[name]:
-            inertial = self.links[joint.child].inertial
-            if joint.type in HELD_TYPES:
-                total += (inertial.mass if inertial else 0.0) + self._carried_mass(joint.child)
-        return total
+        inertials = (self.links[link].inertial for link in self._fixed_links(name) - {name})
+        return sum(inertial.mass for inertial in inertials if inertial)
 
     def _contact(self, root: Element) -> None:
         """Exclude contacts between links that a tie connects."""
@@ -209,15 +205,8 @@ class _Writer:
 
     def _fixed_links(self, name: str) -> set[str]:
         """Links fixed to a link, including itself."""
-        welded, waiting = {name}, [name]
-        fixed = [joint for joint in self.model.urdf.joints if joint.type in HELD_TYPES]
-        while waiting:
-            link = waiting.pop()
-            near = {joint.child for joint in fixed if joint.parent == link}
-            near |= {joint.parent for joint in fixed if joint.child == link}
-            waiting.extend(near - welded)
-            welded |= near
-        return welded
+        carrier = self._carrier(name)[0]
+        return {link for link in self.links if self._carrier(link)[0] == carrier}
 
     def _equality(self, root: Element) -> None:
         followers = [

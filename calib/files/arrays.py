@@ -1,4 +1,7 @@
-"""Named arrays as columns: NumPy's `.npz`, MATLAB's `.mat`, JSON."""
+"""Named arrays as columns: NumPy's `.npz`, MATLAB's `.mat`, JSON; and the JSON of LeRobot's servos.
+
+A calibration of servos has no measurements, but it says what the numbers in a log of joints mean.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,8 @@ import io
 import json
 import re
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -18,6 +22,16 @@ from calib.core.base.files import read_bytes
 from calib.core.data.other_formats import SomeFile
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_UNREADABLE = (
+    ValueError,
+    OSError,
+    EOFError,
+    TypeError,
+    NotImplementedError,
+    RecursionError,
+    zipfile.BadZipFile,
+    csv.Error,
+)
 
 
 def numpy_columns(file: SomeFile) -> dict[str, Sequence[object]]:
@@ -26,19 +40,15 @@ def numpy_columns(file: SomeFile) -> dict[str, Sequence[object]]:
     Raises:
         DataError: The file cannot be read, or has no arrays of one length.
     """
-    try:
+    with _explain_errors(file):
         loaded = np.load(io.BytesIO(_content(file)), allow_pickle=False)
         return _columns(file, {file.path.stem: loaded} if isinstance(loaded, np.ndarray) else dict(loaded))
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise _unreadable(file, error) from None
 
 
 def mat5_columns(file: SomeFile) -> dict[str, Sequence[object]]:
     """Return the columns of a MATLAB file of version 5; for errors see `numpy_columns`."""
-    try:
+    with _explain_errors(file):
         return _columns(file, _flatten(scipy.io.loadmat(io.BytesIO(_content(file)), simplify_cells=True)))
-    except (ValueError, OSError, TypeError, NotImplementedError) as error:
-        raise _unreadable(file, error) from None
 
 
 def mat73_columns(file: SomeFile) -> dict[str, Sequence[object]]:
@@ -54,11 +64,8 @@ def mat73_columns(file: SomeFile) -> dict[str, Sequence[object]]:
             f"{file.path}: is a MATLAB file of version 7.3, and the package that reads them is not installed: pip"
             " install h5py; or save it with -v7"
         ) from None
-    try:
-        with h5py.File(file.path, "r") as opened:
-            return _columns(file, {n: np.asarray(d).T for n, d in opened.items() if isinstance(d, h5py.Dataset)})
-    except (ValueError, OSError, TypeError) as error:
-        raise _unreadable(file, error) from None
+    with _explain_errors(file), h5py.File(file.path, "r") as opened:
+        return _columns(file, {n: np.asarray(d).T for n, d in opened.items() if isinstance(d, h5py.Dataset)})
 
 
 def json_columns(file: SomeFile) -> dict[str, Sequence[object]]:
@@ -67,20 +74,15 @@ def json_columns(file: SomeFile) -> dict[str, Sequence[object]]:
     Raises:
         DataError: The file is no valid JSON, or holds no arrays or records; for others see `numpy_columns`.
     """
-    text = "\n".join(file.lines)
-    try:
+    with _explain_errors(file):
         try:
-            content = json.loads(text)
+            content = json.loads("\n".join(file.lines))
         except ValueError:
             content = [json.loads(line) for line in file.lines if line.strip()]
         if isinstance(content, list) and content and all(isinstance(record, dict) for record in content):
             records = [_flatten(record) for record in content]
             content = {name: [record[name] for record in records] for name in records[0]}
         return _columns(file, _flatten(content if isinstance(content, dict) else {file.path.stem: content}))
-    except KeyError as error:
-        raise DataError(f"{file.path}: not every record has {error}; give each the same names") from None
-    except (ValueError, RecursionError) as error:
-        raise _unreadable(file, error) from None
 
 
 def has_lists(file: SomeFile) -> bool:
@@ -90,14 +92,12 @@ def has_lists(file: SomeFile) -> bool:
 
 def list_columns(file: SomeFile) -> dict[str, Sequence[object]]:
     """Return the columns of a table with lists in its cells; for errors see `numpy_columns`."""
-    try:
+    with _explain_errors(file):
         header, *rows = (row for row in csv.reader(file.lines) if row)
         cells = zip(*([re.findall(r"[^\s,\[\]]+", c) if c[:1] == "[" else c for c in row] for row in rows), strict=True)
         columns = {name: np.array(column) for name, column in zip(header, cells, strict=True)}
         named = [_name_columns(name, a.astype(float) if a.ndim == 2 else a) for name, a in columns.items()]
         return {name: column for part in named for name, column in part.items()}
-    except (ValueError, csv.Error) as error:
-        raise _unreadable(file, error) from None
 
 
 def _flatten(arrays: Mapping[str, Any], start: str = "") -> dict[str, Any]:
@@ -112,9 +112,18 @@ def _content(file: SomeFile) -> bytes:
     return read_bytes(file.path, "a file of arrays", DataError)
 
 
-def _unreadable(file: SomeFile, error: Exception) -> DataError:
-    reason = " ".join(str(error).split())
-    return DataError(f"{file.path}: cannot be read ({reason:.120}); save it again, with arrays of numbers alone")
+@contextmanager
+def _explain_errors(file: SomeFile) -> Iterator[None]:
+    """Turn errors of reading into `DataError`."""
+    try:
+        yield
+    except KeyError as error:
+        raise DataError(f"{file.path}: not every record has {error}; give each the same names") from None
+    except _UNREADABLE as error:
+        reason = " ".join(str(error).split())
+        raise DataError(
+            f"{file.path}: cannot be read ({reason:.120}); save it again, with arrays of numbers alone"
+        ) from None
 
 
 def _columns(file: SomeFile, arrays: Mapping[str, Any]) -> dict[str, Sequence[object]]:
@@ -156,3 +165,47 @@ def _name_columns(name: str, array: np.ndarray) -> dict[str, Sequence[object]]:
         array = array.reshape(len(array), -1)
         endings = _POSE[:3] if array.shape[1] == 3 else tuple(str(k + 1) for k in range(array.shape[1]))
     return {f"{name}_{ending}": column.tolist() for ending, column in zip(endings, array.T, strict=True)}
+
+
+_TICKS = 4096  # ticks in a turn of the servos of LeRobot's arms
+_KEYS = ((b'"homing_offset"', b'"range_min"'), (b'"homing_offset"', b'"motor_names"'))  # current and first versions
+
+
+def is_calibration_of_servos(file: SomeFile) -> bool:
+    """Return whether a file is such JSON."""
+    return file.head.lstrip()[:1] == b"{" and any(all(key in file.head for key in keys) for keys in _KEYS)
+
+
+def servo_lines(file: SomeFile) -> list[str]:
+    """Raise `DataError` with the lines of `columns` that convert a log's numbers to joint angles."""
+    try:
+        servos = json.loads("\n".join(file.lines))
+        if "motor_names" in servos:
+            ranges, signs, names = {}, {}, [str(name) for name in servos["motor_names"]]
+        else:
+            ranges = {str(name): (int(each["range_min"]), int(each["range_max"])) for name, each in servos.items()}
+            signs = {str(name): -1 if each.get("drive_mode") else 1 for name, each in servos.items()}
+            names = list(ranges)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise DataError(
+            f"{file.path}: looks like a calibration of LeRobot, but cannot be read; save it again"
+        ) from None
+    named, turn = f"{file.path}: this looks like a calibration of LeRobot's servos, not measurements; ", 360 / _TICKS
+    names = [name for name in names if "grip" not in name]
+    in_degrees = _line({name: f"{name} [deg]" for name in names})
+    if not ranges:
+        raise DataError(
+            f"{named}logs of this version are in degrees from the stretched arm; write {in_degrees} into the robot"
+            " description of so101_old_calib.urdf or so100.urdf; find zeros and signs with a few poses"
+            " (docs/howto/hobby_arm.md)"
+        )
+    of_range = _line({n: f"{signs[n] * (ranges[n][1] - ranges[n][0]) / 200 * turn:.4g} * {n} [deg]" for n in names})
+    of_ticks = _line({n: f"{turn:.5g} * {n} - {(ranges[n][0] + ranges[n][1]) / 2 * turn:.6g} [deg]" for n in names})
+    raise DataError(
+        f"{named}write into the robot description: for a log of -100..100, {of_range}; for degrees, {in_degrees}; for"
+        f" raw ticks, {of_ticks}; find zeros and signs with a few poses (docs/howto/hobby_arm.md)"
+    )
+
+
+def _line(entries: dict[str, str]) -> str:
+    return "columns: {" + ", ".join(f'{name}.pos: "{text}"' for name, text in entries.items()) + "}"

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from typing import TypeVar
 
 from calib.core.data.other_formats import OtherFormat, SomeFile
-from calib.files import arrays, reports, servos, text
+from calib.files import arrays, reports, text
+
+_Head = TypeVar("_Head")
 
 
 def _begins(pattern: bytes) -> Callable[[SomeFile], bool]:
@@ -18,6 +21,19 @@ def _begins(pattern: bytes) -> Callable[[SomeFile], bool]:
 def _not_read(name: str, head: str, pattern: bytes, way: str) -> OtherFormat:
     """Return a format that is recognised by its first bytes but not read, with advice to the user."""
     return OtherFormat(name, head, way, _begins(pattern))
+
+
+def _test_and_reader(
+    find: Callable[[SomeFile], _Head | None], read: Callable[[SomeFile, _Head], list[str]]
+) -> tuple[Callable[[SomeFile], bool], Callable[[SomeFile], list[str]]]:
+    """Return test and reader of a format whose reader needs the head that makes the test true."""
+
+    def lines(file: SomeFile) -> list[str]:
+        head = find(file)
+        assert head is not None  # else another format would have matched
+        return read(file, head)
+
+    return lambda file: find(file) is not None, lines
 
 
 _CSV = "write a CSV file with a header"
@@ -94,8 +110,8 @@ FORMATS = (
         "a calibration of LeRobot's servos",
         'JSON with `"homing_offset"` and `"range_min"`, or `"motor_names"` of the first versions',
         "it has no measurements; the message gives the `columns` that read its logs in -100..100, degrees or raw ticks",
-        servos.is_calibration_of_servos,
-        servos.servo_lines,
+        arrays.is_calibration_of_servos,
+        arrays.servo_lines,
     ),
     OtherFormat(
         "JSON",
@@ -115,28 +131,25 @@ FORMATS = (
         "a report of measured and nominal values, as PolyWorks and FARO write it",
         "`Name` with `Meas X`, `Actual X`, ...; or `Meas` and a column that names the axes X, Y, Z, one in each row",
         "columns pose (the name), and measured X, Y, Z; the header or a line above states their unit",
-        reports.is_report,
-        reports.report_lines,
+        *_test_and_reader(reports.find_layout, reports.report_lines),
     ),
     OtherFormat(
         "a table with names above X, Y, Z, as Vicon and TRC files have them",
         "a line of names; the next line is `X,Y,Z,X,Y,Z,...` or `X1,Y1,Z1,X2,...`",
         "columns NAME_x, NAME_y, NAME_z, with the units of the line below",
-        text.has_names_above,
-        text.named_above_lines,
+        *_test_and_reader(text.find_axes, text.named_above_lines),
     ),
     OtherFormat(
         "a table whose header is a comment, as SpatialAnalyzer and np.savetxt write it",
         "the last comment (`//`, `#`, `%`) names the columns of the numbers below it",
         "that comment is the header; a unit after Z is that of X and Y",
-        text.has_header_in_comment,
-        text.commented_header_lines,
+        *_test_and_reader(text.find_commented_header, text.commented_header_lines),
     ),
     OtherFormat(
         "a table separated by blanks",
         "a line of names with blanks between them; the lines below have as many numbers",
         "read as if commas stood there",
-        text.is_parted_by_blanks,
+        text.is_separated_by_blanks,
         text.blank_lines,
     ),
     OtherFormat(
@@ -164,8 +177,7 @@ FORMATS = (
         "a table with U95 of each point, as Leica's programs write it",
         "a column `U95`, or `U95 X`, `U95 Y`, `U95 Z`",
         "U95 is twice the standard deviation of each coordinate, which becomes its stated noise",
-        text.has_expanded_uncertainty,
-        text.expanded_uncertainty_lines,
+        *_test_and_reader(text.find_expanded_uncertainty, text.expanded_uncertainty_lines),
     ),
     OtherFormat(
         "text in UTF-16 or Latin-1",

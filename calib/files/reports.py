@@ -23,7 +23,7 @@ _NAMES = ("name", "object name", "object", "point", "point name", "feature", "fe
 
 
 @dataclass(frozen=True)
-class _Layout:
+class ReportLayout:
     """The columns of a report.
 
     Attributes:
@@ -41,46 +41,37 @@ class _Layout:
     unit: str | None
 
 
-def _layout(file: SomeFile) -> _Layout | None:
+def find_layout(file: SomeFile) -> ReportLayout | None:
+    """Return the columns of a file with measured coordinates; None for another file."""
     lines = [cells_of(line) for line in file.first_lines[:SEEN]]
     for k, cells in enumerate(lines):
         folded = [cell.casefold() for cell in cells]
         name = next((j for j, cell in enumerate(folded) if cell in _NAMES), None)
         if name is None:
             continue
-        found = {
-            (m["a"] or m["b"]).casefold(): (j, m["unit"])
-            for j, c in enumerate(cells)
-            if (m := _COORDINATE.fullmatch(c))
-        }
+        matches = [(j, m) for j, cell in enumerate(cells) if (m := _COORDINATE.fullmatch(cell))]
+        found = {(m["a"] or m["b"]).casefold(): (j, m["unit"]) for j, m in matches}
         if len(found) == 3:
-            return _Layout(k, name, tuple(found[axis][0] for axis in "xyz"), None, found["z"][1])
+            return ReportLayout(k, name, tuple(found[axis][0] for axis in "xyz"), None, found["z"][1])
         value = next(((j, m["unit"]) for j, c in enumerate(cells) if (m := _VALUE.fullmatch(c))), None)
         below = [row for row in lines[k + 1 :] if len(row) == len(cells)]
         control = next((j for j in range(len(cells)) if {"X", "Y", "Z"} <= {row[j].upper() for row in below}), None)
         if value is not None and control is not None:
-            return _Layout(k, name, (value[0],), control, value[1])
+            return ReportLayout(k, name, (value[0],), control, value[1])
     return None
 
 
-def is_report(file: SomeFile) -> bool:
-    """Return whether a file has measured coordinates in one of these layouts."""
-    return _layout(file) is not None
-
-
-def report_lines(file: SomeFile) -> list[str]:
+def report_lines(file: SomeFile, layout: ReportLayout) -> list[str]:
     """Return a header and a row for each point.
 
     Raises:
         DataError: A point does not have exactly one X, Y and Z.
     """
-    lines, layout = file.lines, _layout(file)
-    assert layout is not None  # else another format would have matched
-    rows = [(k, cells_of(line)) for k, line in enumerate(lines[layout.header + 1 :], layout.header + 2) if line.strip()]
-    unit = layout.unit or unit_above(lines[: layout.header + 2])
+    unit = layout.unit or unit_above(file.lines[: layout.header + 2])
     points: dict[str, dict[str, str]] = {}
     name = ""
-    for k, cells in rows:
+    for k, line in enumerate(file.lines[layout.header + 1 :], layout.header + 2):
+        cells = cells_of(line)
         if len(cells) <= max(layout.name, *layout.values, layout.control or 0):
             continue
         name = cells[layout.name] or name

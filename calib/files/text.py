@@ -45,7 +45,7 @@ def unit_above(lines: Sequence[str]) -> str | None:
 
 
 def _numbers(cells: Sequence[str]) -> int:
-    return sum(bool(_NUMBER.fullmatch(cell)) for cell in cells)
+    return sum(map(is_number, cells))
 
 
 def _join_cells(cells: Sequence[str]) -> str:
@@ -65,35 +65,23 @@ def _first_row(lines: Sequence[str]) -> int | None:
     return next((k for k, line in enumerate(lines) if line.strip() and _comment(line) is None), None)
 
 
-def _header_in_comment(file: SomeFile) -> tuple[int, list[str]] | None:
-    """The comment with the names of the columns, and its cells."""
+def find_commented_header(file: SomeFile) -> tuple[int, list[str]] | None:
+    """Return line and cells of the last comment above the numbers, if it names their columns; else None."""
     lines = file.first_lines
     row = _first_row(lines)
-    if row is None or not _numbers(cells_of(lines[row])) or len(cells_of(lines[row])) < 2:
+    cells = [] if row is None else cells_of(lines[row])
+    n = len(cells)
+    k = next((k for k in range((row or 0) - 1, -1, -1) if _comment(lines[k])), None)
+    if k is None or n < 2 or _numbers(cells) < max(n - 4, 1):
         return None
-    n = len(cells_of(lines[row]))
-    if _numbers(cells_of(lines[row])) < n - 4:
-        return None
-    for k in range(row - 1, -1, -1):
-        comment = _comment(lines[k])
-        if not comment:
-            continue
-        cells = cells_of(comment)
-        named = len(cells) >= 2 and not _numbers(cells) and n - 2 <= len(cells) <= n
-        return (k, cells) if named and all(cells) and len(cells) > n / 2 else None
-    return None
+    names = cells_of(_comment(lines[k]) or "")
+    named = max(2, n - 2) <= len(names) <= n and len(names) > n / 2 and all(names) and not _numbers(names)
+    return (k, names) if named else None
 
 
-def has_header_in_comment(file: SomeFile) -> bool:
-    """Return whether the last comment above the numbers names their columns."""
-    return _header_in_comment(file) is not None
-
-
-def commented_header_lines(file: SomeFile) -> list[str]:
+def commented_header_lines(file: SomeFile, known: tuple[int, list[str]]) -> list[str]:
     """Return the lines with that comment as header; columns without a name get their number."""
-    lines, known = file.lines, _header_in_comment(file)
-    assert known is not None  # else another format would have matched
-    header, names = known
+    lines, (header, names) = file.lines, known
     width = len(cells_of(lines[_first_row(lines) or 0]))
     names = [*names, *(f"column_{k + 1}" for k in range(len(names), width))]
     places = {name.split(" [")[0].split(" (")[0].casefold(): k for k, name in enumerate(names)}
@@ -120,9 +108,9 @@ def commented_header_lines(file: SomeFile) -> list[str]:
 def has_no_names(file: SomeFile) -> bool:
     """Return whether every line has two or more numbers alone, or three or more with texts in the same places."""
     lines = [cells_of(line) for line in file.first_lines[:-1] or file.first_lines if line.strip()]
-    lines = [cells for cells in lines if not cells[0].startswith(_MARKS)]
-    places = [is_number(cell) for cell in lines[0]] if lines else []
-    counted = [cell for cell in lines[0] if is_number(cell)] if lines else []
+    first, *_ = lines = [cells for cells in lines if not cells[0].startswith(_MARKS)] or [[]]
+    places = [is_number(cell) for cell in first]
+    counted = [cell for cell in first if is_number(cell)]
     are_names = counted == [str(k + 1) for k in range(len(counted))]
     enough = len(places) > 1 and sum(places) >= min(len(places), 3) and not are_names
     return enough and all([is_number(cell) for cell in cells] == places for cells in lines[:SEEN])
@@ -137,20 +125,15 @@ def has_no_known_names(file: SomeFile) -> bool:
     return not re.search("[,;\t]", line) or not all(map(is_number, cells_of(line)))
 
 
-def _blank_header(file: SomeFile) -> int | None:
-    """Index of the line of names above numbers, both separated by blanks; rows may begin with a name."""
+def is_separated_by_blanks(file: SomeFile) -> bool:
+    """Return whether blanks separate a line of names, and the numbers below; rows may begin with a name."""
     k = _first_row(file.first_lines)
     rows = [] if k is None else [line for line in file.first_lines[k:-1] or file.first_lines[k:] if line.strip()][:SEEN]
     if len(rows) < 2 or any(re.search("[,;\t]", row) for row in rows):
-        return None
+        return False
     names, *table = [row.split() for row in rows]
     whole = all(len(cells) == len(names) and _numbers(cells) >= max(len(cells) - 1, 2) for cells in table)
-    return k if whole and not _numbers(names) else None
-
-
-def is_parted_by_blanks(file: SomeFile) -> bool:
-    """Return whether names and the numbers below are separated by blanks."""
-    return _blank_header(file) is not None
+    return whole and not _numbers(names)
 
 
 def blank_lines(file: SomeFile) -> list[str]:
@@ -165,8 +148,8 @@ def numbered_lines(file: SomeFile) -> list[str]:
     return [",".join(str(k + 1) for k in range(width)), *(_join_cells(cells_of(row)) for row in rows)]
 
 
-def _axes_line(file: SomeFile) -> int | None:
-    """Index of the line of X, Y, Z (or RX, RY, RZ, TX, TY, TZ) below a line of names."""
+def find_axes(file: SomeFile) -> int | None:
+    """Return the index of the line of X, Y, Z (or RX, RY, RZ, TX, TY, TZ) below a line of names; None without one."""
     lines = [cells_of(line) for line in file.first_lines[:SEEN]]
     for k in range(1, len(lines)):
         letters, above = [_letter(cell) for cell in lines[k]], lines[k - 1]
@@ -183,19 +166,13 @@ def _letter(cell: str) -> str:
     return re.sub(r"(?<=^[xyz])\d+$", "", cell.casefold())
 
 
-def has_names_above(file: SomeFile) -> bool:
-    """Return whether a line has names above the first letter of each X, Y, Z."""
-    return _axes_line(file) is not None
-
-
-def named_above_lines(file: SomeFile) -> list[str]:
-    """Return the lines with one header in place of names, letters and units.
+def named_above_lines(file: SomeFile, k: int) -> list[str]:
+    """Return the lines with one header in place of names, letters (line k) and units.
 
     Raises:
         DataError: A second table follows.
     """
-    lines, k = file.lines, _axes_line(file)
-    assert k is not None  # else another format would have matched
+    lines = file.lines
     for j in range(k + 1, len(lines)):
         if lines[j][:1].isalpha() and any(axis in map(_letter, cells_of(lines[j])) for axis in ("x", "tx")):
             raise DataError(f"{file.path}, line {j + 1}: a second table begins; keep one of them in the file")
@@ -256,24 +233,15 @@ def motive_lines(file: SomeFile) -> list[str]:
     )
 
 
-def _u95_header(file: SomeFile) -> tuple[int, list[str]] | None:
-    for k, line in enumerate(file.first_lines[:SEEN]):
-        cells = cells_of(line)
-        if len(cells) > 3 and any(_U95.fullmatch(cell) for cell in cells):
-            return k, cells
-    return None
+def find_expanded_uncertainty(file: SomeFile) -> tuple[int, list[str]] | None:
+    """Return line and cells of the header that has U95; None if there is none."""
+    headers = ((k, cells_of(line)) for k, line in enumerate(file.first_lines[:SEEN]))
+    return next(((k, cells) for k, cells in headers if len(cells) > 3 and any(map(_U95.fullmatch, cells))), None)
 
 
-def has_expanded_uncertainty(file: SomeFile) -> bool:
-    """Return whether a header has U95."""
-    return _u95_header(file) is not None
-
-
-def expanded_uncertainty_lines(file: SomeFile) -> list[str]:
+def expanded_uncertainty_lines(file: SomeFile, known: tuple[int, list[str]]) -> list[str]:
     """Return the lines with U95 of each axis; a point's U95 is used for each coordinate."""
-    lines, known = file.lines, _u95_header(file)
-    assert known is not None  # else another format would have matched
-    header, names = known
+    lines, (header, names) = file.lines, known
     single = next((j for j, name in enumerate(names) if (m := _U95.fullmatch(name)) and not m[1]), None)
 
     def spread(cells: list[str], texts: Sequence[str]) -> list[str]:
@@ -285,13 +253,9 @@ def expanded_uncertainty_lines(file: SomeFile) -> list[str]:
     for k, line in enumerate(lines):
         cells = cells_of(line)
         if k == header:
-            table.append(_semicolons(spread(written, [f"U95 {axis}{unit}" for axis in "XYZ"])))
+            table.append(";".join(spread(written, [f"U95 {axis}{unit}" for axis in "XYZ"])))
         elif k > header and len(cells) == len(names):
-            table.append(_semicolons(spread(cells, [cells[single]] * 3 if single is not None else [])))
+            table.append(";".join(spread(cells, [cells[single]] * 3 if single is not None else [])))
         else:
             table.append(line if _comment(line) is not None or not line.strip() else f"# {line}")
     return table
-
-
-def _semicolons(cells: Sequence[str]) -> str:
-    return ";".join(cells)

@@ -11,29 +11,51 @@ digit. With L_v the effect of these errors on the whitened rows of pair v, and r
 Many draws of w give the distributions of sum r^2, sum r'^2 and of errors elsewhere, without the approximation of normal
 noise. Real residuals far above all draws show that the model lacks something that the controller has.
 
+If they are, hypotheses move joints, dq = phi(q) c, and so the whitened rows by G c:
+
+    gravity     the joint yields under masses at the origins of links: phi is the rate at which each origin rises as
+                the joint turns, with z of the root link upwards. The masses need not be known
+    coupling    phi is the value of another joint
+    gear        gain, phi = q; waves, phi = sin k q, cos k q
+
+Joint origins may change again, by J d, with each hypothesis. The hypothesis with the least information criterion
+(n log sum of squares + c log n) is added, as long as it halves the sum of squares, and until rounding explains the
+rest. Then the fit is repeated with corrected joint values, because origins that had absorbed these errors are far off.
+
 When it fails. A part of the controller's model that is smaller than rounding stays hidden; the claim has an allowance
-for that (`_ALLOWANCE`).
+for that (`_ALLOWANCE`). Errors that move no joint are not found. Some hypotheses are equivalent at these pairs: gravity
+at a joint with a level axis is a harmonic of that joint.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import CalibrationError
+from calib.core.base.words import count_noun, listing
 from calib.core.fitting.fitted import Fit
+from calib.core.judging.effects import wave_orders
 from calib.core.numerics import linalg
 from calib.core.robots.jacobian import linearise
 from calib.core.robots.joint_samples import joint_samples
 from calib.core.robots.robot import Robot
 
+CONTROLLER = "controller"
+"""Name of the instrument for the controller's poses."""
 _DRAWS = 600
 _BEYOND = 1.1  # residuals are not rounding if they are more than this many times the largest draw
 _ALLOWANCE = 1.25  # factor on the claim, for errors below rounding
 _POSES = 300  # other poses of the claim
 _SURE = 0.99  # part of the draws in which the claim holds
+_MOST = 4  # largest number of hypotheses
+_HALVED = 0.5  # largest part of the sum of squares that remains after another hypothesis
+_ROUNDS = 2  # fits with the joint errors
+_MOST_WAVES = 6  # a turn
+_SEEN = 1e-6  # least part of a column that joint origins cannot absorb; less counts as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +87,11 @@ class Agreement(ReadOnlyArrays):
         return self.ratio <= _BEYOND
 
 
-def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatArray | None = None) -> Agreement:
+def agreement(fit: Fit, rounding: FloatArray, seed: int, more: FloatArray | None = None) -> Agreement:
     """Return the comparison of residuals with rounding.
 
     Args:
-        fit: Fit to pairs, with the covariance of rounding as noise.
-        name: Name of the instrument for the controller's poses.
+        fit: Fit to pairs of the instrument `CONTROLLER`, with the covariance of rounding as noise.
         rounding: L before whitening, (n_pairs, 6, k) [m, rad].
         seed: Seed of the draws.
         more: Further columns of the whitened rows, (6 n_pairs, c); the fit is not repeated.
@@ -81,7 +102,7 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
     more = np.zeros((6 * n, 0)) if more is None else more
     jacobian = np.hstack([fit.rows.jacobian * scale, more])
     prior = np.pad(fit.rows.prior.rows, ((0, 0), (0, more.shape[1])))
-    L = whitening.flatten({name: rounding.copy()}).reshape(n, 6, k)
+    L = whitening.flatten({CONTROLLER: rounding.copy()}).reshape(n, 6, k)
     w = rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (_DRAWS, n, k))
     e = np.einsum("vik,dvk->dvi", L, w).reshape(_DRAWS, -1)
     C = linalg.pinv(jacobian.T @ jacobian + prior.T @ prior, rcond=1e-12, hermitian=True)
@@ -92,7 +113,7 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
     predicted = _leave_one_out_residuals(jacobian, C, all_r)
     lengths = np.linalg.norm(predicted, axis=2)
     sums = np.stack([np.sum(all_r**2, axis=(1, 2)), np.sum(lengths**2, axis=1)])
-    whiten = whitening.flatten({name: np.tile(np.eye(6), (n, 1, 1))}).reshape(n, 6, 6)
+    whiten = whitening.flatten({CONTROLLER: np.tile(np.eye(6), (n, 1, 1))}).reshape(n, 6, 6)
     left_out = np.linalg.solve(whiten, predicted[-1][..., None])[:, :3, 0]
     moved = np.linalg.norm(np.einsum("vik,dvk->dvi", rounding[:, :3], w), axis=2)
     size = _ALLOWANCE * float(np.sqrt(max(1.0, sums[0, -1] / np.mean(sums[0, :-1]))))
@@ -104,7 +125,7 @@ def agreement(fit: Fit, name: str, rounding: FloatArray, seed: int, more: FloatA
         size * errors[0],
         size * errors[1],
         float(np.sqrt(np.mean(np.sum(left_out**2, axis=1)))),
-        float(np.sqrt(np.mean(np.sum(fit.residuals[name][:, :3] ** 2, axis=1)))),
+        float(np.sqrt(np.mean(np.sum(fit.residuals[CONTROLLER][:, :3] ** 2, axis=1)))),
     )
 
 
@@ -136,3 +157,74 @@ def other_poses(robot: Robot) -> FloatArray:
         return q[robot.close(q).ok][:_POSES]
     except CalibrationError:
         return q[:_POSES]
+
+
+def explanation(
+    fit: Fit, again: Callable[[FloatArray], Fit], q: FloatArray, rounding: FloatArray, seed: int
+) -> tuple[str, Agreement]:
+    """Return the joint errors that explain the residuals, in words (empty for none), and the agreement with them.
+
+    Args:
+        fit: Fit of joint origins.
+        again: Function that fits with other joint values (n_pairs, n_joints).
+        q: Joint values of the pairs, (n_pairs, n_joints).
+        rounding, seed: Arguments of `agreement`.
+    """
+    by_joint = linearise(fit.robot, fit.robot.assemble(q), turns=True, joints=True).joint_derivative
+    assert by_joint is not None
+    tried = [
+        (words, phi, fit.whitening.flatten({CONTROLLER: np.einsum("vij,vjc->vic", by_joint[:, 0], phi)}))
+        for words, phi in hypotheses(fit.robot, q)
+    ]
+    words, phi, added, moved = list[str](), np.zeros((*q.shape, 0)), np.zeros((6 * len(q), 0)), q
+    agreed = agreement(fit, rounding, seed)
+    while tried and len(words) < _MOST and not agreed.to_the_digits:
+        basis = linalg.orth(np.hstack([_rows(fit)[0], added]), _SEEN)
+        spans = [_basis_complement(basis, G) for *_, G in tried]
+        rest = _rows(fit)[1] - basis @ (basis.T @ _rows(fit)[1])
+        left = [rest - span @ (span.T @ rest) for span in spans]
+        best = int(np.argmin([_criterion(rows, span.shape[1]) for rows, span in zip(left, spans, strict=True)]))
+        if left[best] @ left[best] > _HALVED * (rest @ rest):
+            break
+        word, more, G = tried.pop(best)
+        words, phi, added = [*words, word], np.concatenate([phi, more], axis=2), np.hstack([added, G])
+        for _ in range(_ROUNDS):
+            J, r = _rows(fit)
+            moved = moved - phi @ linalg.lstsq(np.hstack([J, added]), r, _SEEN)[J.shape[1] :]
+            fit = again(moved)
+        agreed = agreement(fit, rounding, seed, more=added)
+    return listing(words, " and "), agreed
+
+
+def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Rows whitened by the rounding, and their residuals."""
+    scale = fit.whitening.row_scale(fit.scales)
+    return fit.rows.jacobian * scale[:, None], fit.rows.residuals * scale
+
+
+def hypotheses(robot: Robot, q: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield the possible errors of each joint at joint values q (n_pairs, n_joints): words, and phi of `q.shape`."""
+    names = robot.joint_names
+    links = sorted({joint.child for joint in robot.urdf.joints if joint.name in names})
+    links.append(robot.description.targets[robot.target_names[0]].frame)
+    rises = np.stack([robot.jacobian(q, link)[:, 2] for link in links], axis=2)  # rises of the origins of links
+    for j, joint in enumerate(names):
+        moves = {f"gravity at {joint}": rises[:, j], f"gain of {joint}": q[:, [j]]}
+        moves |= {f"coupling of {joint} by {other}": q[:, [k]] for k, other in enumerate(names) if k != j}
+        most = min(wave_orders(q[:, j]).stop, _MOST_WAVES + 1) if robot.mechanism.dimensions[joint] == "angle" else 0
+        for waves in range(1, most):
+            turned = np.stack([np.sin(waves * q[:, j]), np.cos(waves * q[:, j])], axis=1)
+            moves[f"gear of {joint} ({count_noun(waves, 'wave')} a turn)"] = turned
+        for words, phi in moves.items():
+            yield words, np.einsum("j,nc->njc", np.eye(len(names))[j], phi)
+
+
+def _basis_complement(basis: FloatArray, G: FloatArray) -> FloatArray:
+    """Orthonormal basis of the span of G (n_rows, c) outside of a given basis."""
+    G = G / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
+    left, values, _ = linalg.svd(G - basis @ (basis.T @ G), full_matrices=False)
+    return np.asarray(left[:, values > _SEEN])
+
+
+def _criterion(rest: FloatArray, coefficients: int) -> float:
+    return float(len(rest) * np.log(rest @ rest) + coefficients * np.log(len(rest)))

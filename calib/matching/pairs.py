@@ -1,7 +1,8 @@
 """Pairs of joint values and poses that a controller prints: their columns, and their rounding steps.
 
 Columns are found by the manufacturers' words. Without such words or a header, the numbers of a line are joint values,
-x, y, z, and the rotation, in this order. `calib.matching.readings` finds units and meaning of the numbers.
+x, y, z, and the rotation, in this order. `calib.matching.readings` finds units and meaning of the numbers, of which a
+`Convention` is one form of rotations.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError
@@ -20,7 +23,67 @@ from calib.core.base.words import count_noun
 from calib.core.data.layouts import is_comment
 from calib.core.data.tables import Table, read_table
 from calib.core.judging.rounded_joint_values import usual_step
-from calib.matching.conventions import HEADERS
+
+
+@dataclass(frozen=True)
+class Convention:
+    """A form of rotations.
+
+    Attributes:
+        form: Its name; three axes in scipy's notation (capitals: moving axes).
+        width: Numbers of a rotation.
+        makers: Manufacturers that use it.
+    """
+
+    form: str
+    width: int = 3
+    makers: str = ""
+
+    @property
+    def has_angles(self) -> bool:
+        """Whether the numbers of a rotation are angles, which have a unit."""
+        return self.width == 3
+
+    def rotation(self, numbers: FloatArray) -> scipy.spatial.transform.Rotation:
+        """Return the rotations of numbers (n, width), angles in rad."""
+        of = scipy.spatial.transform.Rotation
+        if self.form == "rotation vector":
+            return of.from_rotvec(numbers.copy())
+        if self.form == "matrix":
+            return of.from_matrix(numbers.reshape(-1, 3, 3))
+        if self.width == 4:
+            return of.from_quat(numbers, scalar_first=self.form.startswith("qw"))
+        return of.from_euler(self.form, numbers)
+
+    def __str__(self) -> str:
+        axes = f"angles about {'moving' if self.form.isupper() else 'fixed'} axes" if len(self.form) == 3 else ""
+        description = ", ".join(filter(None, (axes, self.makers)))
+        return f"{self.form} ({description})" if description else self.form
+
+
+_SEQUENCES = sorted({a + b + c for a, b in permutations("XYZ", 2) for c in "XYZ" if c != b})
+_MAKERS = {"xyz": "FANUC's W P R, roll pitch yaw", "ZYX": "KUKA's A B C", "XYZ": "Stäubli's rx ry rz", "ZYZ": "O A T"}
+CONVENTIONS = (
+    Convention("rotation vector", makers="UR's rx ry rz"),
+    *(Convention(axes, makers=_MAKERS.get(axes, "")) for axes in (*_SEQUENCES, *map(str.lower, _SEQUENCES))),
+    Convention("qx qy qz qw", 4),
+    Convention("qw qx qy qz", 4),
+    Convention("matrix", 9),
+)
+HEADERS = {
+    "qx qy qz qw": "qx qy qz qw",
+    "q1 q2 q3 q4": "qw qx qy qz",
+    "w p r": "xyz",
+    "a b c": "ZYX",
+    "o a t": "ZYZ",
+    "roll pitch yaw": "xyz",
+    "alpha beta gamma": "XYZ",
+    "rx ry rz": "",
+    "thetax thetay thetaz": "xyz",
+    " ".join(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)): "matrix",
+}
+"""Endings of column names, and the form that they mean; rx ry rz are ambiguous."""
+
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _STEMS = ("j", "joint", "axis", "a", "rax", "ax", "theta", "q", "actualq", "jointposition", "actualjointpositions")

@@ -2,7 +2,7 @@
 
 Every reading is tried on the nominal robot, with the best base and tool (`calib.matching.alignment`). The right reading
 leaves the errors of the robot's origins, some millimetres; a wrong reading leaves a part of the workspace. Candidates
-are: joint values in degrees and radians; all forms of rotations (`calib.matching.conventions`); the tool in the base,
+are: joint values in degrees and radians; all forms of rotations (`calib.matching.pairs`); the tool in the base,
 the base in the tool, and inverse rotations alone. If none of them fits, twists are tried: joint 3 counted from the
 horizontal (joint 2 is in it), joint values some rows above or below their poses, columns of positions in another order
 or with another sign, and columns of joint values with other order, sign, zero or scale
@@ -29,8 +29,7 @@ from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.column_maps import likely_maps
 from calib.core.robots.robot import Robot
 from calib.matching.alignment import Alignment, align, turns_apart
-from calib.matching.conventions import CONVENTIONS, HEADERS, Convention
-from calib.matching.pairs import Pairs
+from calib.matching.pairs import CONVENTIONS, HEADERS, Convention, Pairs
 
 _SAME = 1e-9  # differences of joint values and poses that count as zero [m], [rad]
 _FINEST = 1e-6  # finest own rounding of a controller [m or rad]
@@ -148,6 +147,11 @@ class PlacedInterpretation:
     reading: Interpretation
     aligned: Alignment
 
+    @property
+    def miss(self) -> float:
+        """Root mean square of its misses [m]."""
+        return self.aligned.rms_distance
+
 
 def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     """Return the readings that fit the nominal robot, the best first; several if only a fit can decide.
@@ -170,19 +174,19 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
         )
     limit = _FIT * spread
     for readings in _single_twists(robot, pairs, usual):
-        if min(tried, key=_miss).aligned.rms_distance <= limit:
+        if min(one.miss for one in tried) <= limit:
             break
         tried += [_place(robot, pairs, reading) for reading in readings]
-    best = min(tried, key=_miss)
-    if best.aligned.rms_distance > limit:
+    best = min(tried, key=lambda one: one.miss)
+    if best.miss > limit:
         raise DataError(
             f"{pairs.path}: no reading of the columns brings the poses near {robot.path}; the nearest"
-            f" ({best.reading.words()}) leaves {millimetres(best.aligned.rms_distance):.0f} mm. Check that it is this"
-            " robot, that all rows have one tool and one base, and that joint values and pose of a row belong together"
+            f" ({best.reading.words()}) leaves {millimetres(best.miss):.0f} mm. Check that it is this robot, that all"
+            " rows have one tool and one base, and that joint values and pose of a row belong together"
         )
     alike: list[PlacedInterpretation] = []
-    for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), _miss(one))):
-        near = one.aligned.rms_distance < min(_ALIKE * best.aligned.rms_distance, limit)
+    for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), one.miss)):
+        near = one.miss < min(_ALIKE * best.miss, limit)
         if near and not any(_are_same(pairs, one.reading, other.reading) for other in alike):
             alike.append(one)
     if len(alike) > _MOST:
@@ -202,10 +206,6 @@ def alike_error(pairs: Pairs, readings: Sequence[Interpretation]) -> DataError:
 def nominal_poses(robot: Robot, joints: FloatArray) -> FloatArray:
     """Return the poses of the target's link, (n, 4, 4) [m]."""
     return robot.forward(joints, robot.description.targets[robot.target_names[0]].frame)
-
-
-def _miss(candidate: PlacedInterpretation) -> float:
-    return candidate.aligned.rms_distance
 
 
 def _are_same(pairs: Pairs, one: Interpretation, other: Interpretation) -> bool:

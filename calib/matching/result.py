@@ -50,11 +50,10 @@ class Match:
     @property
     def grade(self) -> Literal["PASS", "CHECK", "FAIL"]:
         """PASS, CHECK or FAIL."""
-        if not self.agreement.to_the_digits:
+        agreed = self.agreement
+        if not agreed.to_the_digits:
             return "FAIL" if self.fit.verdict.grade == "FAIL" else "CHECK"
-        return (
-            "CHECK" if self.left_out or self.agreement.claim > _OF_DIGITS * self.agreement.rounding_distance else "PASS"
-        )
+        return "CHECK" if self.left_out or agreed.claim > _OF_DIGITS * agreed.rounding_distance else "PASS"
 
     @property
     def conclusion(self) -> str:

@@ -57,17 +57,14 @@ def read_klipper(path: Path | str) -> PrinterFile:
         if all(section != stepper for section, _ in cfg.entries):
             raise DataError(f"{path}: no [{stepper}]{cfg.hint or '; a delta has stepper_a, stepper_b and stepper_c'}")
 
-    def three(key: str, default: tuple[float, ...] | None = None) -> tuple[float, float, float]:
-        first = None if default is not None else cfg.number(steppers[0], key)
-        values = [
-            cfg.number(stepper, key, first if default is None else default[k]) for k, stepper in enumerate(steppers)
-        ]
-        return values[0], values[1], values[2]
+    def three(key: str, default: Sequence[float] = ()) -> list[float]:
+        """The number of each tower; where it is missing, its default, or the number of tower a."""
+        default = default or [cfg.number(steppers[0], key)] * 3
+        return [cfg.number(stepper, key, each) for stepper, each in zip(steppers, default, strict=True)]
 
-    angles = three("angle", tuple(math.degrees(angle) for angle in ANGLES))
     geometry = DeltaGeometry(
         cfg.number("printer", "delta_radius") * _MM,
-        (angles[0] * _DEG, angles[1] * _DEG, angles[2] * _DEG),
+        _times(three("angle", [math.degrees(angle) for angle in ANGLES]), _DEG),
         _times(three("arm_length"), _MM),
         _times(three("position_endstop"), _MM),
     )
@@ -77,9 +74,8 @@ def read_klipper(path: Path | str) -> PrinterFile:
     if min(*turns, *micro, *full, *gears) <= 0:
         raise DataError(f"{path}: rotation_distance, microsteps, full_steps_per_rotation must be positive")
     step = [_MM * t / (m * f * g) for t, m, f, g in zip(turns, micro, full, gears, strict=True)]
-    rows = cfg.rows((step[0], step[1], step[2]))
-    printer = PrinterFile(str(path), geometry, rows)
-    if rows:
+    printer = PrinterFile(str(path), geometry, cfg.rows(step))
+    if printer.rows:
         require_steps(printer, micro)
         require_plausible(printer)
     return printer
@@ -92,8 +88,8 @@ def _rotary_delta(path: Path | str) -> DataError:
     )
 
 
-def _times(values: tuple[float, float, float], unit: float) -> tuple[float, float, float]:
-    return values[0] * unit, values[1] * unit, values[2] * unit
+def _times(values: Sequence[float], unit: float) -> tuple[float, ...]:
+    return tuple(value * unit for value in values)
 
 
 class _Klipper:
@@ -143,7 +139,7 @@ class _Klipper:
         except (ValueError, ZeroDivisionError):
             raise DataError(f"{self.path}, line {line}: gear_ratio '{text:.40}' is not a ratio such as 5:1") from None
 
-    def rows(self, step: tuple[float, float, float]) -> tuple[PrinterReading, ...]:
+    def rows(self, step: Sequence[float]) -> tuple[PrinterReading, ...]:
         heights, spans, calibration = list[PrinterReading](), list[PrinterReading](), "delta_calibrate"
         for (section, key), (text, line) in self.entries.items():
             height, distance = _HEIGHT.match(key), _DISTANCE.match(key)
@@ -152,7 +148,7 @@ class _Klipper:
             value = self._numbers(section, key, text, 1)[0] * _MM
             ends = ("_pos",) if height else ("_pos1", "_pos2")
             places = [self._numbers(calibration, key + end, self.text(calibration, key + end), 3) for end in ends]
-            down = tuple((p[0] * step[0], p[1] * step[1], p[2] * step[2]) for p in places)
+            down = tuple(tuple(steps * size for steps, size in zip(place, step, strict=True)) for place in places)
             if distance and value <= 0:
                 raise DataError(f"{self.path}, line {line}: {key} '{text:.40}' is not a distance; correct it")
             (heights if height else spans).append(PrinterReading(key, line, value, down))
@@ -176,24 +172,22 @@ def read_m665(path: Path | str, firmware: str) -> PrinterFile:
         if key not in settings:
             raise DataError(f"{path}: no M665 with {key}, {meaning}; save the settings (M503 prints them) into a file")
 
-    def three(source: Mapping[str, tuple[float, ...]], keys: str) -> tuple[float, float, float]:
-        values = [source.get(key, (0.0,))[0] for key in keys]
-        return values[0], values[1], values[2]
+    def three(source: Mapping[str, tuple[float, ...]], keys: str) -> list[float]:
+        return [source.get(key, (0.0,))[0] for key in keys]
 
-    rods, trims, turned, corrections = settings["L"], three(settings, "ABC"), three(settings, "XYZ"), three(ends, "XYZ")
+    rods, trims, turned, up = settings["L"], three(settings, "ABC"), three(settings, "XYZ"), three(ends, "XYZ")
     height = settings["H"][0]
     if firmware == "marlin":
-        _require_marlin(path, rods, trims, corrections)
-        arms = (rods[0] + trims[0], rods[0] + trims[1], rods[0] + trims[2])
+        _require_marlin(path, rods, trims, up)
+        arms = [rods[0] + trim for trim in trims]
         height -= words["M851"].get("Z", (0.0,))[0]
-        up = (-corrections[0], -corrections[1], -corrections[2])
+        up = [-end for end in up]
     else:
         _require_duet(path, rods, ends)
-        arms, up = (rods[0], rods[-2 % len(rods)], rods[-1]), corrections
+        arms = [rods[0], rods[-2 % len(rods)], rods[-1]]
     angles = tuple(angle + turn * _DEG for angle, turn in zip(ANGLES, turned, strict=True))
-    endstops = _times((height + up[0], height + up[1], height + up[2]), _MM)
-    radius = settings["R"][0] * _MM
-    geometry = DeltaGeometry(radius, (angles[0], angles[1], angles[2]), _times(arms, _MM), endstops)
+    endstops = _times([height + end for end in up], _MM)
+    geometry = DeltaGeometry(settings["R"][0] * _MM, angles, _times(arms, _MM), endstops)
     _require_printer(path, geometry)
     return PrinterFile(str(path), geometry)
 

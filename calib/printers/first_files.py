@@ -14,8 +14,9 @@ from calib.core.base.units import millimetres, quantity
 from calib.core.base.words import count_noun
 from calib.core.commands.common import Output
 from calib.core.commands.first_files import FirstFiles
+from calib.core.robots.urdf.writing import robot_text
 from calib.printers.files import printer_table, read_printer
-from calib.printers.linear_delta import linear_delta_description, linear_delta_plan, linear_delta_urdf
+from calib.printers.linear_delta import NAME, linear_delta_description, linear_delta_plan
 from calib.printers.rows import PrinterFile, expected_geometry, residuals
 
 
@@ -37,7 +38,7 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
     plan = linear_delta_plan(geometry, 2 if any(len(row.places) == 2 for row in printer.rows) else 1)
     urdf, title = out.with_suffix(".urdf"), " ".join(Path(printer.path).name.replace("--", "-").split())
     files = {
-        urdf: linear_delta_urdf(plan, f"linear delta, cut open: {title}"),
+        urdf: robot_text(NAME, f"linear delta, cut open: {title}", plan.links, plan.joints),
         out: linear_delta_description(plan, title, urdf.name, len(printer.rows), printer.geometry),
         **({out.with_suffix(".csv"): printer_table(printer)} if printer.rows else {}),
     }

@@ -14,7 +14,7 @@ from calib.core.base.units import PER_SI, millimetres
 from calib.core.robots.file_formats import FormatFile
 from calib.core.robots.robot import Robot
 from calib.printers import COMMENTS
-from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, is_linear_delta
+from calib.printers.linear_delta import ANGLES, NAME, PARAMETERS, TOWERS, DeltaGeometry
 
 
 def geometry_of(robot: Robot) -> DeltaGeometry:
@@ -23,19 +23,14 @@ def geometry_of(robot: Robot) -> DeltaGeometry:
     Raises:
         InputError: The robot is no linear delta.
     """
-    if not is_linear_delta(robot.description):
+    if robot.description.parametrisation != NAME:
         raise InputError(
             f"{robot.path}: is not a delta printer; formats {', '.join(COMMENTS)} need the parametrisation"
             " linear_delta, as calib init --klipper writes it"
         )
     value = {parameter.name: float(v) for parameter, v in zip(robot.parameters, robot.values, strict=True)}
     angle_c = next(joint.rpy[2] for joint in robot.urdf.joints if joint.name == "tower_c")
-    return DeltaGeometry(
-        value["delta_radius"],
-        (value["angle_a"], value["angle_b"], float(angle_c)),
-        (value["arm_a"], value["arm_b"], value["arm_c"]),
-        (value["endstop_a"], value["endstop_b"], value["endstop_c"]),
-    )
+    return DeltaGeometry.from_values([value[name] for name in PARAMETERS], float(angle_c))
 
 
 def printer_lines(robot: Robot, firmware: str, provenance: Sequence[str] = ()) -> FormatFile:

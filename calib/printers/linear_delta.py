@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,11 +33,9 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.parameter import Parameter
-from calib.core.base.units import millimetres
-from calib.core.robots.description import Description
+from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale, millimetres
 from calib.core.robots.parameters import Origin, ResultUse, twist_of_edit
 from calib.core.robots.urdf.loop_mechanisms import BASE, Plan
-from calib.core.robots.urdf.writing import robot_text
 
 TOWERS = ("a", "b", "c")
 ANGLES = (math.radians(210), math.radians(330), math.radians(90))
@@ -45,8 +43,13 @@ ANGLES = (math.radians(210), math.radians(330), math.radians(90))
 NAME = "linear_delta"
 ARM, ANGLE = 0.3e-3, math.radians(0.3)
 """Expected errors of an arm [m] and of a tower's angle [rad]."""
-RADIUS, ENDSTOP = 2e-3, 10e-3
-"""Expected errors of the radius [m] and of endstops [m]."""
+PARAMETERS: dict[str, tuple[Dimension, float]] = {
+    "delta_radius": ("length", 2e-3),
+    **{f"angle_{tower}": ("angle", ANGLE) for tower in "ab"},
+    **{f"arm_{tower}": ("length", ARM) for tower in TOWERS},
+    **{f"endstop_{tower}": ("length", 10e-3) for tower in TOWERS},
+}
+"""Dimension and expected error [m or rad] of each parameter."""
 HEIGHT, DISTANCE = 0.05e-3, 0.1e-3
 """Noise of a probed height and of a distance [m]."""
 
@@ -63,9 +66,20 @@ class DeltaGeometry:
     """
 
     radius: float
-    angles: tuple[float, float, float]
-    arms: tuple[float, float, float]
-    endstops: tuple[float, float, float]
+    angles: tuple[float, ...]
+    arms: tuple[float, ...]
+    endstops: tuple[float, ...]
+
+    @classmethod
+    def from_values(cls, values: Sequence[float] | FloatArray, angle_c: float) -> DeltaGeometry:
+        """Return the geometry with parameter values (9,) [m, rad], and tower c at `angle_c` [rad]."""
+        radius, a, b, *lengths = map(float, values)
+        return cls(radius, (a, b, angle_c), tuple(lengths[:3]), tuple(lengths[3:]))
+
+    @property
+    def values(self) -> FloatArray:
+        """Values in the order of `PARAMETERS`, (9,) [m, rad]."""
+        return np.array([self.radius, *self.angles[:2], *self.arms, *self.endstops])
 
     def __post_init__(self) -> None:
         if not 0 < self.radius < min(self.arms):
@@ -106,7 +120,7 @@ class DeltaGeometry:
         return np.asarray(first + x[:, None] * ex + y[:, None] * ey + z[:, None] * normal)
 
 
-def tower_angles(angle_c: float) -> tuple[float, float, float]:
+def tower_angles(angle_c: float) -> tuple[float, ...]:
     """Return tower angles [rad] a third of a circle apart, with the third at `angle_c` [rad]."""
     a, b, _ = ((angle + (angle_c - ANGLES[2])) % math.tau for angle in ANGLES)
     return a, b, angle_c
@@ -129,25 +143,20 @@ class LinearDelta:
             raise DescriptionError(f"parametrisation 'linear_delta': the URDF has no joint '{missing}'; see calib init")
         self._suffixes = ("", "_2") if "tower_a_2" in origins else ("",)
         places = [origins[f"tower_{tower}"] for tower in TOWERS]
-        self._angle_c = float(places[2].rpy[2])
+        *angles, self._angle_c = (float(place.rpy[2]) for place in places)
         radius = float(np.mean([math.hypot(*place.xyz[:2]) for place in places]))
         arms = [-float(origins[f"arm_{tower}_end"].xyz[2]) for tower in TOWERS]
         ends = [float(p.xyz[2]) - math.sqrt(arm**2 - radius**2) for p, arm in zip(places, arms, strict=True)]
-        self.parameters = (
-            Parameter("delta_radius", "length", radius, RADIUS, "mm"),
-            *(Parameter(f"angle_{t}", "angle", float(places[k].rpy[2]), ANGLE, "deg") for k, t in enumerate("ab")),
-            *(Parameter(f"arm_{t}", "length", arm, ARM, "mm") for t, arm in zip(TOWERS, arms, strict=True)),
-            *(Parameter(f"endstop_{t}", "length", end, ENDSTOP, "mm") for t, end in zip(TOWERS, ends, strict=True)),
+        self.parameters = tuple(
+            Parameter(name, dimension, value, error, DISPLAY_UNIT[dimension])
+            for (name, (dimension, error)), value in zip(
+                PARAMETERS.items(), (radius, *angles, *arms, *ends), strict=True
+            )
         )
-
-    def geometry(self, values: FloatArray) -> DeltaGeometry:
-        """Return the firmware's geometry for parameter values (9,) [m, rad]."""
-        v = [float(value) for value in values]
-        return DeltaGeometry(v[0], (v[1], v[2], self._angle_c), (v[3], v[4], v[5]), (v[6], v[7], v[8]))
 
     def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
         """Return the origins; see `calib.core.robots.parameters.Parametrisation`."""
-        geometry, edited = self.geometry(values), {}
+        geometry, edited = DeltaGeometry.from_values(values, self._angle_c), {}
         for k, tower in enumerate(TOWERS):
             angle = geometry.angles[k]
             place = np.array(
@@ -160,7 +169,7 @@ class LinearDelta:
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return derivatives of the origins, (6, 9) each; see `calib.core.robots.parameters.Parametrisation`."""
-        geometry, result = self.geometry(values), {}
+        geometry, result = DeltaGeometry.from_values(values, self._angle_c), {}
         for k, tower in enumerate(TOWERS):
             angle, arm, n = geometry.angles[k], geometry.arms[k], len(self.parameters)
             rise = math.sqrt(arm**2 - geometry.radius**2)
@@ -175,11 +184,6 @@ class LinearDelta:
                 result[f"tower_{tower}{suffix}"] = twist_of_edit(np.array([0.0, 0.0, angle]), d_xyz, d_rpy)
                 result[f"arm_{tower}{suffix}_end"] = twist_of_edit(np.zeros(3), d_end, np.zeros((3, n)))
         return result
-
-
-def is_linear_delta(description: Description) -> bool:
-    """Return whether a description has this parametrisation."""
-    return description.parametrisation == NAME
 
 
 def linear_delta_plan(geometry: DeltaGeometry, copies: int = 1) -> Plan:
@@ -207,11 +211,6 @@ def linear_delta_plan(geometry: DeltaGeometry, copies: int = 1) -> Plan:
             plan.loops.append((f"platform{suffix}", f"{name}_tip"))
     plan.targets["nozzle"] = ("platform", (0.0, 0.0, 0.0))
     return plan
-
-
-def linear_delta_urdf(plan: Plan, title: str) -> str:
-    """Return the text of a delta's URDF."""
-    return robot_text("linear_delta", title, plan.links, plan.joints)
 
 
 def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int, saved: DeltaGeometry) -> str:
@@ -246,22 +245,17 @@ instruments:
 # delta_radius, angles of towers, arms and endstops as firmwares have them. Probing hardly shows arms and angles: they
 # are expected to be as designed, within {millimetres(ARM):g} mm and {math.degrees(ANGLE):g} deg.
 parametrisation: {NAME}
-{_in_use(saved) if n_rows else ""}{_HELD if 0 < n_rows <= _N_PARAMETERS else ""}"""
+{_in_use(saved) if n_rows else ""}{_HELD if 0 < n_rows <= len(PARAMETERS) else ""}"""
 
 
 def _in_use(saved: DeltaGeometry) -> str:
-    lengths = {"delta_radius": saved.radius}
-    lengths |= {
-        f"{name}_{t}": each[k]
-        for name, each in (("arm", saved.arms), ("endstop", saved.endstops))
-        for k, t in enumerate(TOWERS)
-    }
-    texts = [f"{name}: {millimetres(length):.6f} mm" for name, length in lengths.items()]
-    texts += [f"angle_{t}: {math.degrees(saved.angles[k]):.6f} deg" for k, t in enumerate("ab")]
-    return f"\n# What the firmware uses now. It was computed from the same rows.\nin_use: {{{', '.join(texts)}}}\n"
+    texts: dict[Dimension, list[str]] = {"length": [], "angle": []}
+    for (name, (dimension, _)), value in zip(PARAMETERS.items(), saved.values, strict=True):
+        texts[dimension].append(f"{name}: {value * display_scale(dimension):.6f} {DISPLAY_UNIT[dimension]}")
+    entries = ", ".join([*texts["length"], *texts["angle"]])
+    return f"\n# What the firmware uses now. It was computed from the same rows.\nin_use: {{{entries}}}\n"
 
 
-_N_PARAMETERS = 9
 _HELD = """\
 
 # With so few rows, free arms would leave no degrees of freedom to judge a fit. So the arms are held.

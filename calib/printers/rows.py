@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,17 +19,7 @@ from calib.core.base.units import PER_SI, millimetres
 from calib.core.base.words import listing
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM, FEWEST
-from calib.printers.linear_delta import (
-    ANGLE,
-    ARM,
-    DISTANCE,
-    ENDSTOP,
-    HEIGHT,
-    RADIUS,
-    TOWERS,
-    DeltaGeometry,
-    tower_angles,
-)
+from calib.printers.linear_delta import DISTANCE, HEIGHT, PARAMETERS, TOWERS, DeltaGeometry, tower_angles
 
 _MM = 1 / PER_SI["length"]["mm"]
 _FITS = 2e-3  # largest error of rows with the right steps and the saved settings [m]
@@ -51,7 +42,7 @@ class PrinterReading:
     name: str
     line: int
     value: float
-    places: tuple[tuple[float, float, float], ...]
+    places: tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -108,13 +99,12 @@ def residuals(geometry: DeltaGeometry, rows: tuple[PrinterReading, ...]) -> np.n
     return np.asarray(lengths - [row.value for row in rows])
 
 
-def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> None:
-    """Raise `DataError` if the positions of the file fit with other microsteps than stated."""
+def require_steps(printer: PrinterFile, micro: Sequence[float]) -> None:
+    """Raise `DataError` if the positions of the file fit with other microsteps than stated, of three motors."""
 
     def median_error(factors: tuple[float, ...]) -> float:
-        a, b, c = factors
         scaled = tuple(
-            replace(row, places=tuple((p[0] * a, p[1] * b, p[2] * c) for p in row.places)) for row in printer.rows
+            replace(row, places=tuple(tuple(np.multiply(p, factors)) for p in row.places)) for row in printer.rows
         )
         values = np.abs(residuals(printer.geometry, scaled))
         return float(np.median(np.where(np.isnan(values), np.inf, values)))
@@ -133,9 +123,8 @@ def require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> No
             f"{printer.path}: the probed positions were counted in other microsteps than the file has; they fit"
             f" {wrong}: write these into a copy of the file, or probe again"
         )
-    shown = (
-        f"are {millimetres(as_stated):.1f} mm from what was measured" if np.isfinite(as_stated) else "are out of reach"
-    )
+    off = f"are {millimetres(as_stated):.1f} mm from what was measured"
+    shown = off if np.isfinite(as_stated) else "are out of reach"
     raise DataError(
         f"{printer.path}: with the settings of the file its probed positions {shown}; they were taken before"
         " rotation_distance, microsteps or arms were changed: probe again"
@@ -162,10 +151,7 @@ def require_plausible(printer: PrinterFile) -> None:
         off, chance = abs(float(errors[0][k])), len(saved) * float(errors[1][k])
     far = len(saved) > 3 and saved[k] > max(_FAR, _TIMES * float(np.median(np.delete(saved, k))))
     if far or (chance < FALSE_ALARM and off > _FAR):
-        row, judges = (
-            printer.rows[k],
-            "the other rows" if errors is not None else "the other rows and the saved settings",
-        )
+        row, judges = printer.rows[k], "the other rows" + ("" if errors is not None else " and the saved settings")
         raise DataError(
             f"{printer.path}, line {row.line}: {row.name} {millimetres(row.value):g} mm is"
             f" {millimetres(off):.2f} mm off the value from {judges}; correct it or its position, or remove both"
@@ -188,18 +174,18 @@ def left_out_errors(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | Non
 
     Reference: cook1982.
     """
-    geometry, rows, n = printer.geometry, printer.rows, 9
+    geometry, rows = printer.geometry, printer.rows
     if not _are_alike(geometry.arms):
         return None
-    start, sigma = _vector(geometry), np.array([RADIUS, ANGLE, ANGLE, *[ARM] * 3, *[ENDSTOP] * 3])
+    start, sigma = geometry.values, np.array([error for _, error in PARAMETERS.values()])
     noise = np.array([HEIGHT if len(row.places) == 1 else DISTANCE for row in rows])
     ends = [
-        [residuals(_geometry(start + sign * step, geometry.angles[2]), rows) for sign in (1, -1)]
-        for step in _STEP * np.eye(n)
+        [residuals(DeltaGeometry.from_values(start + sign * step, geometry.angles[2]), rows) for sign in (1, -1)]
+        for step in _STEP * np.eye(len(start))
     ]
     slope = np.array([(more - less) / (2 * _STEP) for more, less in ends]).T / noise[:, None]
     error = residuals(geometry, rows) / noise
-    prior = np.diag(1 / sigma), (start - _vector(expected_geometry(printer))) / sigma
+    prior = np.diag(1 / sigma), (start - expected_geometry(printer).values) / sigma
     off, chance = np.empty(len(rows)), np.empty(len(rows))
     for k in range(len(rows)):
         kept = np.arange(len(rows)) != k
@@ -213,11 +199,3 @@ def left_out_errors(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | Non
         spread = math.sqrt(rest @ rest / freedom * (1 + np.sum((slope[k] @ inverse) ** 2)))
         chance[k] = 2 * scipy.special.stdtr(freedom, -abs(off[k]) / spread)
     return off * noise, chance
-
-
-def _vector(geometry: DeltaGeometry) -> np.ndarray:
-    return np.array([geometry.radius, *geometry.angles[:2], *geometry.arms, *geometry.endstops])
-
-
-def _geometry(v: np.ndarray, angle: float) -> DeltaGeometry:
-    return DeltaGeometry(v[0], (v[1], v[2], angle), (v[3], v[4], v[5]), (v[6], v[7], v[8]))

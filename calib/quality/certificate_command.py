@@ -88,7 +88,11 @@ def command(
     loaded = load_result(result)
     stated = _traceability(loaded, traceability)
     where = None if poses is None else read_poses(poses, loaded.robot)
-    sign = None if key is None else signer(key, _password)
+    sign = (
+        None
+        if key is None
+        else signer(key, lambda: str(click.prompt("Password of the key", hide_input=True, err=True)))
+    )
     output.check(out, None if key is None else out + ENDING)
     with output.working("checking the budget") as progress:
         linear = one_blas_thread(ErrorPropagation.from_fit)(loaded.fit)
@@ -115,10 +119,6 @@ def command(
     if not stated.model_fields_set:
         output.note("note: no 'traceability' is stated: the budget knows nothing of instrument and temperature")
     output.say(f"Written to {out}" + ("" if key is None else f", signed in {out}{ENDING}"))
-
-
-def _password() -> str:
-    return str(click.prompt("Password of the key", hide_input=True, err=True))
 
 
 def _traceability(result: LoadedResult, path: str | None) -> TraceabilitySection:

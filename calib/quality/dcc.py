@@ -70,7 +70,7 @@ def _append(etree: Any, parent: Any, node: Node) -> None:
 
 
 def _text(name: str, text: str | None) -> Node:
-    return name, [("content", " ".join((text or _UNSTATED).split()))]
+    return name, [("content", _word(text))]
 
 
 def _word(text: str | None) -> str:
@@ -85,17 +85,15 @@ def _identifications(values: Mapping[str, str | None], issuers: Sequence[str] = 
     ]
 
 
-def _place(stated: Mapping[str, Any]) -> Node:
-    return "location", [("countryCode", stated.get("country") or _NOWHERE), _text("further", stated.get("site"))]
-
-
 def _administrative(content: Mapping[str, Any]) -> list[Node]:
     stated, item = content["traceability"], content["traceability"].get("item", {})
+    country = stated.get("country") or _NOWHERE
+    location: Node = ("location", [("countryCode", country), _text("further", stated.get("site"))])
     software: Node = ("software", [_text("name", DISTRIBUTION), ("release", VERSION), ("type", "application")])
     core: Node = (
         "coreData",
         [
-            ("countryCodeISO3166_1", stated.get("country") or _NOWHERE),
+            ("countryCodeISO3166_1", country),
             ("usedLangCodeISO639_1", "en"),
             ("mandatoryLangCodeISO639_1", "en"),
             ("uniqueIdentifier", content["identifier"]),
@@ -117,7 +115,7 @@ def _administrative(content: Mapping[str, Any]) -> list[Node]:
         ("dccSoftware", [software]),
         core,
         ("items", [robot]),
-        ("calibrationLaboratory", [("contact", [_text("name", stated.get("laboratory")), _place(stated)])]),
+        ("calibrationLaboratory", [("contact", [_text("name", stated.get("laboratory")), location])]),
         (
             "respPersons",
             [("respPerson", [("person", [_text("name", stated.get("operator"))]), ("mainSigner", "true")])],

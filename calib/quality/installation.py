@@ -12,6 +12,7 @@ import hashlib
 import platform
 import sys
 from collections.abc import Iterator
+from functools import partial
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from calib.core.base.words import listing
 from calib.quality.protocol import Check, Outcome, Phase
 
 _PHASE = Phase.INSTALLATION
+_check = partial(Check.from_values, _PHASE)
 _SEALED = "every file has the SHA-256 that its wheel lists (RECORD)"
 _OLDEST_BLAS = {"openblas": Version("0.3.21")}
 """OpenBLAS before 0.3.21 has known errors in kernels of current processors (its changelog)."""
@@ -62,11 +64,9 @@ def _dependency(requirement: Requirement) -> Iterator[Check]:
     try:
         found = distribution(requirement.name)
     except PackageNotFoundError:
-        yield Check.from_values(_PHASE, subject, expected, "not installed", False)
+        yield _check(subject, expected, "not installed", False)
         return
-    yield Check.from_values(
-        _PHASE, subject, expected, found.version, requirement.specifier.contains(found.version, True)
-    )
+    yield _check(subject, expected, found.version, requirement.specifier.contains(found.version, True))
     yield from _check_files(found)
 
 
@@ -79,7 +79,7 @@ def _check_files(of: Distribution) -> Iterator[Check]:
         return
     changed = [str(file) for file, digest in listed.items() if digest != _digest(Path(str(of.locate_file(file))))]
     found = f"{len(changed)} changed or missing: {listing(changed)}" if changed else f"{len(listed)} files as listed"
-    yield Check.from_values(_PHASE, subject, _SEALED, found, not changed)
+    yield _check(subject, _SEALED, found, not changed)
 
 
 def _digest(path: Path) -> str:
@@ -101,9 +101,7 @@ def _linear_algebra() -> Iterator[Check]:
         if oldest is not None:
             version = str(entry["version"])
             passed = version != "None" and Version(version) >= oldest
-            yield Check.from_values(
-                _PHASE, "linear algebra library", f"OpenBLAS {oldest} or newer", _library(entry), passed
-            )
+            yield _check("linear algebra library", f"OpenBLAS {oldest} or newer", _library(entry), passed)
 
 
 def _library(entry: dict[str, object]) -> str:

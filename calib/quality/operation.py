@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -32,10 +33,10 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.templates import TEMPLATES, loop_files
 from calib.core.rows.simulate import simulate
 from calib.quality.protocol import Check, Phase, Work
-from calib.quality.reference_problems import PROBLEMS, ReferenceProblem
-from calib.quality.sample_robots import sample_robots
+from calib.quality.references import PROBLEMS, ReferenceProblem, sample_robots
 
 _PHASE = Phase.OPERATION
+_check = partial(Check.from_values, _PHASE)
 _DIGITS = 7.0
 """Number of NIST's eleven digits that an answer must have."""
 _FAR = 1e-9  # largest difference of positions computed in two ways [m]
@@ -87,7 +88,7 @@ def _regression(problem: ReferenceProblem) -> Iterator[Check]:
         digits = min(_common_digits(found.x, problem.certified), _common_digits(std, problem.std))
         subject = f"regression {problem.name}, start {number}"
         expected = f"certified values and standard deviations to {_DIGITS:g} digits (NIST StRD)"
-        yield Check.from_values(_PHASE, subject, expected, f"{digits:.1f} digits", bool(digits >= _DIGITS))
+        yield _check(subject, expected, f"{digits:.1f} digits", bool(digits >= _DIGITS))
 
 
 def _common_digits(found: FloatArray, certified: FloatArray) -> float:
@@ -98,23 +99,18 @@ def _common_digits(found: FloatArray, certified: FloatArray) -> float:
 
 def _robots() -> Iterator[Check]:
     """Check positions, loops, derivatives and the recovery of a known truth on eight robots."""
-    for number, (name, robot) in enumerate(sample_robots()):
-        yield from _robot(name, robot, number)
-
-
-def _robot(name: str, robot: Robot, seed: int) -> Iterator[Check]:
-    true = draw_robot(robot, seed, part=_SMALL)
-    joints = _common_poses(robot, true, _POSES, seed)
-    apart = _largest_difference(true, joints)
-    slopes = _slopes(true, joints[:5])
-    off = _recovery_error(robot, true, joints, seed)
-    subject, expected = f"positions of the {name}", f"within {millimetres(_FAR):g} mm of a product of single transforms"
-    yield Check.from_values(_PHASE, subject, expected, f"{millimetres(apart):.1e} mm", apart <= _FAR)
-    subject, expected = f"Jacobian of the {name}", f"relative difference to central differences at most {_SLOPES:g}"
-    yield Check.from_values(_PHASE, subject, expected, f"{slopes:.1e}", slopes <= _SLOPES)
-    subject = f"recovery of the {name}"
-    expected = f"readings without noise: within {millimetres(_FOUND):g} mm of the truth at other poses"
-    yield Check.from_values(_PHASE, subject, expected, f"{millimetres(off):.1e} mm", off <= _FOUND)
+    product = f"within {millimetres(_FAR):g} mm of a product of single transforms"
+    differences = f"relative difference to central differences at most {_SLOPES:g}"
+    truth = f"readings without noise: within {millimetres(_FOUND):g} mm of the truth at other poses"
+    for seed, (name, robot) in enumerate(sample_robots()):
+        true = draw_robot(robot, seed, part=_SMALL)
+        joints = _common_poses(robot, true, _POSES, seed)
+        apart = _largest_difference(true, joints)
+        slopes = _slopes(true, joints[:5])
+        off = _recovery_error(robot, true, joints, seed)
+        yield _check(f"positions of the {name}", product, f"{millimetres(apart):.1e} mm", apart <= _FAR)
+        yield _check(f"Jacobian of the {name}", differences, f"{slopes:.1e}", slopes <= _SLOPES)
+        yield _check(f"recovery of the {name}", truth, f"{millimetres(off):.1e} mm", off <= _FOUND)
 
 
 def draw_robot(robot: Robot, seed: int, part: float = 1.0) -> Robot:
@@ -210,7 +206,7 @@ def _coverage() -> Iterator[Check]:
     share = float(np.mean(hits))
     expected = f"95 % intervals hold the simulated truth in {_LEAST:.0%} to {_MOST:.0%}"
     found = f"{share:.1%} of {len(hits)} intervals"
-    yield Check.from_values(_PHASE, "coverage of intervals", expected, found, _LEAST <= share <= _MOST)
+    yield _check("coverage of intervals", expected, found, _LEAST <= share <= _MOST)
 
 
 def _check_repeats() -> Iterator[Check]:
@@ -219,8 +215,8 @@ def _check_repeats() -> Iterator[Check]:
     data = simulate(draw_robot(robot, 1), robot.sample(_POSES, seed=1), seed=1)
     digests = [_digest(calibrate(robot, data, None, Settings())) for _ in range(2)]
     found = "the same bits" if digests[0] == digests[1] else "different bits"
-    yield Check.from_values(
-        _PHASE, "same numbers twice", "two fits of the same readings agree in every bit", found, len(set(digests)) == 1
+    yield _check(
+        "same numbers twice", "two fits of the same readings agree in every bit", found, len(set(digests)) == 1
     )
 
 
@@ -249,4 +245,4 @@ def _exit_codes() -> Iterator[Check]:
             expected = f"exit code {code}" + (", one line on standard error" if code else "")
             found = f"exit code {done.returncode}, {len(lines)} lines on standard error"
             passed = done.returncode == code and len(lines) == bool(code)
-            yield Check.from_values(_PHASE, f"command line, {what}", expected, found, passed)
+            yield _check(f"command line, {what}", expected, found, passed)

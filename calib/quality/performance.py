@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -23,9 +24,10 @@ from calib.core.robots.robot import Robot
 from calib.core.rows.simulate import simulate
 from calib.quality.operation import draw_robot
 from calib.quality.protocol import Check, Outcome, Phase, Work
-from calib.quality.sample_robots import sample_robots
+from calib.quality.references import sample_robots
 
 _PHASE = Phase.PERFORMANCE
+_check = partial(Check.from_values, _PHASE)
 _POSES, _OTHERS, _HELD_OUT = 60, 300, 0.2
 _LEAST = 0.75
 """Least ratio of claim and error, in either direction: a claim must be neither too small nor useless."""
@@ -49,16 +51,12 @@ def _check_simulated() -> Iterator[Check]:
     measured = simulate(true, others, seed=12)
     off = fit.robot.positions(others) - np.stack([r.values for r in measured.readings.values()], axis=1)
     error = float(np.sqrt(np.mean(np.sum(off**2, axis=-1))))
-    yield Check.from_values(
-        _PHASE, "verdict on a sound simulated robot", "PASS", verdict.grade, verdict.grade == "PASS"
-    )
+    yield _check("verdict on a sound simulated robot", "PASS", verdict.grade, verdict.grade == "PASS")
     claimed = np.nan if verdict.claim is None else verdict.claim.at_measured_poses.rms
     ratio = claimed / error
     expected = f"claim / error at {_OTHERS} other poses: {_LEAST:g} to {1 / _LEAST:.2f}"
     found = f"{ratio:.2f} ({millimetres(claimed):.3f} mm claimed, {millimetres(error):.3f} mm found)"
-    yield Check.from_values(
-        _PHASE, "claim about a simulated robot", expected, found, bool(_LEAST <= ratio <= 1 / _LEAST)
-    )
+    yield _check("claim about a simulated robot", expected, found, bool(_LEAST <= ratio <= 1 / _LEAST))
 
 
 def _check_mistakes() -> Iterator[Check]:
@@ -77,7 +75,7 @@ def _check_mistakes() -> Iterator[Check]:
             grade = judge(calibrate(robot, replace(data, joints=joints), None, Settings(sigma=None))).grade
         except CalibrationError as error:  # refused with a reason, so no wrong number results
             grade = f"refused ({type(error).__name__})"
-        yield Check.from_values(_PHASE, what, "never PASS", grade, grade != "PASS")
+        yield _check(what, "never PASS", grade, grade != "PASS")
 
 
 def _check_own_data(robot: Robot, data: Measurements) -> Iterator[Check]:
@@ -85,7 +83,7 @@ def _check_own_data(robot: Robot, data: Measurements) -> Iterator[Check]:
     used, held_out = data.read_visits().split(validation=_HELD_OUT, seed=0)
     fit = calibrate(robot, used, held_out, Settings())
     verdict = judge(fit)
-    yield Check.from_values(_PHASE, f"verdict on {robot.name}", "PASS", verdict.grade, verdict.grade == "PASS")
+    yield _check(f"verdict on {robot.name}", "PASS", verdict.grade, verdict.grade == "PASS")
     claim = verdict.claim
     if claim is None or not claim.unused:
         yield Check(_PHASE, f"claim about {robot.name}", "a claim", "the readings do not tell", Outcome.NOTED)
@@ -93,4 +91,4 @@ def _check_own_data(robot: Robot, data: Measurements) -> Iterator[Check]:
     shown = claim.unused[0].accuracy
     expected = f"{held_out.n_poses} poses that were held out: at most {MORE:g} times as far off as claimed"
     found = f"{shown.in_unit(shown.rms)} RMS, {claim.at_measured_poses.in_unit(claim.at_measured_poses.rms)} claimed"
-    yield Check.from_values(_PHASE, f"claim about {robot.name}", expected, found, claim.holds)
+    yield _check(f"claim about {robot.name}", expected, found, claim.holds)

@@ -15,7 +15,7 @@ from calib.core.base.errors import CalibrationError
 from calib.programs.commands.compensate import command
 from calib.programs.languages.controller_program import compensate_program
 from calib.programs.languages.languages import read_program
-from calib.programs.languages.orientations import numbers_of, pose_of
+from calib.programs.languages.robot_program import numbers_of, pose_of
 from tests.programs import controller_programs as programs
 from tests.six_axis_arm import write_six_axis
 

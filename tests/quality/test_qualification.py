@@ -21,7 +21,7 @@ from calib.quality import installation, operation, performance
 from calib.quality.command import protocol_document
 from calib.quality.documents import Document, DocumentRows
 from calib.quality.protocol import Check, Outcome, Phase, Protocol, done
-from calib.quality.sample_robots import sample_robots
+from calib.quality.references import sample_robots
 
 
 def failures(*pieces):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from calib.core.base.arrays import FloatArray
 from calib.core.robots.terms.term import REFERENCE_TEMPERATURE
 from calib.exporting.functions.facts import MEANING, NEUTRAL, SOURCES, RobotFacts, header_lines, template
 from calib.exporting.functions.trees import FunctionTree
@@ -77,32 +78,26 @@ def _sizes(facts: RobotFacts) -> str:
 
 def _tables(facts: RobotFacts) -> str:
     scale = facts.tree.scale[: len(facts.joints)]
-    neutral = ", ".join(["{0.0}", *(_number(NEUTRAL[name]) for name in ("time", "temperature", "load"))])
+    neutral = [[0.0], *(NEUTRAL[name] for name in ("time", "temperature", "load"))]
     text = [
         _array("double @_lower[]", facts.lower),
         _array("double @_upper[]", facts.upper),
         _array("double @_home[]", facts.home),
         _array("double @_joint_scale[]", scale),
-        f"static const @_conditions @_neutral = {{{neutral}}};\n",
+        f"static const @_conditions @_neutral = {_literal(neutral)};\n",
     ]
     if facts.base is not None:
         table = _array("double pose[16]", facts.base.ravel()).strip()
         text.append(f"static inline const double *@_base(void) {{\n{table}\n    return pose;\n}}\n")
     text.append(_tree("@_robot", facts.tree))
     text += _errors(facts)
-    gravity = facts.gravity
-    if gravity is None:
-        text.append("static const @_gravity @_own_gravity = {&@_robot, NULL, 0, {0.0}, {0.0}};\n")
-        return "".join(text)
-    text.append(_tree("@_nominal", gravity.tree))
-    bodies = np.vstack([np.zeros(4), np.column_stack([gravity.masses, gravity.moments])])
-    text.append(_structs("double @_bodies[][4]", map(_list, bodies)))
-    joint, at = gravity.payload
-    text.append(
-        f"static const @_gravity @_own_gravity = {{&@_nominal, @_bodies, {joint}, {_list(at)},"
-        f" {_list(gravity.acceleration)}}};\n"
-    )
-    return "".join(text)
+    gravity, own = facts.gravity, ["&@_robot", "NULL", 0, [0.0], [0.0]]
+    if gravity is not None:
+        text.append(_tree("@_nominal", gravity.tree))
+        bodies = np.vstack([np.zeros(4), np.column_stack([gravity.masses, gravity.moments])])
+        text.append(_structs("double @_bodies[][4]", bodies))
+        own = ["&@_nominal", "@_bodies", *gravity.payload, gravity.acceleration]
+    return "".join([*text, f"static const @_gravity @_own_gravity = {_literal(own)};\n"])
 
 
 def _errors(facts: RobotFacts) -> list[str]:
@@ -111,66 +106,58 @@ def _errors(facts: RobotFacts) -> list[str]:
     for k, wave in enumerate(facts.waves):
         text += [_array(f"double @_sine_{k}[]", wave.sine), _array(f"double @_cosine_{k}[]", wave.cosine)]
     waves = [
-        f"{{{wave.driven}, {wave.place}, {len(wave.sine)}, {_number(wave.base)}, @_sine_{k}, @_cosine_{k}}}"
+        (wave.driven, wave.place, len(wave.sine), wave.base, f"@_sine_{k}", f"@_cosine_{k}")
         for k, wave in enumerate(facts.waves)
     ]
     shares = [
-        f"{{{share.driven}, @_{SOURCES[share.source].upper()}, {share.place},"
-        f" {_number(share.knee)}, {_number(share.rate)}}}"
+        (share.driven, f"@_{SOURCES[share.source].upper()}", share.place, share.knee, share.rate)
         for share in facts.shares
     ]
-    text.append(_structs("@_share @_shares[]", shares or ["{0, @_ONE, 0, 0.0, 0.0}"]))
-    text.append(_structs("@_wave @_waves[]", waves or ["{0, 0, 0, 0.0, NULL, NULL}"]))
+    text.append(_structs("@_share @_shares[]", shares or [(0, "@_ONE", 0, 0.0, 0.0)]))
+    text.append(_structs("@_wave @_waves[]", waves or [(0, 0, 0, 0.0, "NULL", "NULL")]))
     return text
 
 
 def _tree(name: str, tree: FunctionTree) -> str:
     """A tree, after the tables to which it points."""
     joints = [
-        f"{{{joint.before}, {int(joint.slides)}, {joint.coordinate}, {_number(joint.factor)}, {_number(joint.offset)},"
-        f" {_list(_columns(joint.placement))}}}"
+        (joint.before, joint.slides, joint.coordinate, joint.factor, joint.offset, _columns(joint.placement))
         for joint in tree.joints
     ]
-    frames = [
-        f"{{{frame.after}, {name}_moved_{k}, {_list(_columns(frame.placement))}}}"
-        for k, frame in enumerate(tree.frames)
-    ]
-    rows = [f"{{{closure.a}, {closure.b}, {row}}}" for closure in tree.closures for row in closure.rows]
+    frames = [(frame.after, f"{name}_moved_{k}", _columns(frame.placement)) for k, frame in enumerate(tree.frames)]
+    rows = [(a, b, row) for a, b, rows in tree.closures for row in rows]
     places = [place for block in tree.blocks for part in block for place in part]
-    ends = np.cumsum([0, *(len(part) for block in tree.blocks for part in block)]).tolist()
+    ends = np.cumsum([0, *(len(part) for block in tree.blocks for part in block)])
     blocks = [
-        f"{{{len(block[0])}, {ends[2 * k]}, {ends[2 * k + 1]}, {int(sign)}}}"
+        (len(block[0]), ends[2 * k], ends[2 * k + 1], int(sign))
         for k, (block, sign) in enumerate(zip(tree.blocks, tree.signs, strict=True))
     ]
-    limits = [f"{{{place}, {int(turns)}, {_number(low)}, {_number(high)}}}" for place, turns, low, high in tree.limits]
     starts = tree.starts if tree.closures else np.zeros((1, 1))
-    counts = [tree.n_driven, tree.n_passive, len(tree.joints), len(starts), len(blocks), len(limits)]
-    members = [*map(str, counts), _number(tree.tolerance)]
-    members += [f"{name}_{part}" for part in ("joints", "frames", "rows", "scale", "starts")]
-    members += [f"{name}_{part}" for part in ("blocks", "block_places", "limits")]
+    counts = [tree.n_driven, tree.n_passive, len(tree.joints), len(starts), len(blocks), len(tree.limits)]
+    parts = ("joints", "frames", "rows", "scale", "starts", "blocks", "block_places", "limits")
+    members = [*counts, tree.tolerance, *(f"{name}_{part}" for part in parts)]
     return "".join(
         [
             _structs(f"@_joint {name}_joints[]", joints),
             *(
-                f"static const unsigned char {name}_moved_{k}[] ="
-                f" {{{', '.join(str(int(m)) for m in frame.moved_by)}}};\n"
+                f"static const unsigned char {name}_moved_{k}[] = {_literal(frame.moved_by)};\n"
                 for k, frame in enumerate(tree.frames)
             ),
             _structs(f"@_frame {name}_frames[]", frames),
-            _structs(f"@_row {name}_rows[]", rows or ["{0, 0, 0}"]),
+            _structs(f"@_row {name}_rows[]", rows or [(0, 0, 0)]),
             _array(f"double {name}_scale[]", tree.scale),
             _array(f"double {name}_starts[]", starts.ravel()),
-            _structs(f"@_block {name}_blocks[]", blocks or ["{0, 0, 0, 0}"]),
-            f"static const int {name}_block_places[] = {{{', '.join(map(str, places or [0]))}}};\n",
-            _structs(f"@_limit {name}_limits[]", limits or ["{0, 0, 0.0, 0.0}"]),
-            f"static const @_tree {name} = {{{', '.join(members)}}};\n",
+            _structs(f"@_block {name}_blocks[]", blocks or [(0, 0, 0, 0)]),
+            f"static const int {name}_block_places[] = {_literal(places or [0])};\n",
+            _structs(f"@_limit {name}_limits[]", tree.limits or [(0, False, 0.0, 0.0)]),
+            f"static const @_tree {name} = {_literal(members)};\n",
         ]
     )
 
 
-def _columns(placement: ArrayLike) -> Iterable[float]:
+def _columns(placement: FloatArray) -> FloatArray:
     """The twelve numbers of a pose, column by column."""
-    return [float(value) for value in np.asarray(placement)[:3].T.ravel()]
+    return placement[:3].T.ravel()
 
 
 def _number(value: float) -> str:
@@ -180,16 +167,21 @@ def _number(value: float) -> str:
     return repr(float(value) + 0.0)
 
 
-def _list(values: Iterable[float]) -> str:
-    return f"{{{', '.join(_number(value) for value in values)}}}"
+def _literal(value: Any) -> str:
+    """Numbers, texts as they are, and sequences of them in braces."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, (int, np.integer, np.bool_)):
+        return str(int(value))
+    return _number(value) if np.ndim(value) == 0 else f"{{{', '.join(map(_literal, value))}}}"
 
 
 def _array(declared: str, values: Iterable[float]) -> str:
     """A table of numbers, in lines."""
-    text = [_number(float(value)) for value in values]
+    text = list(map(_number, values))
     return _structs(declared, [", ".join(text[k : k + 5]) for k in range(0, len(text), 5)])
 
 
-def _structs(declared: str, entries: Iterable[str]) -> str:
-    body = ",\n    ".join(entries)
+def _structs(declared: str, entries: Iterable[Any]) -> str:
+    body = ",\n    ".join(map(_literal, entries))
     return f"static const {declared} = {{\n    {body}\n}};\n"

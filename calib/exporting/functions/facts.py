@@ -26,6 +26,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.formula import Proportional, Source
 from calib.core.robots.terms.term import REFERENCE_TEMPERATURE, Context
 from calib.exporting.functions.trees import FunctionTree, tree_of
+from calib.exporting.joint_tables import term_values
 
 _STARTS = 64
 CONDITIONS = {
@@ -195,10 +196,7 @@ def _errors(robot: Robot) -> tuple[tuple[JointShare, ...], tuple[Wave, ...]]:
     """The joint errors, with equal terms of a joint added up."""
     rates: dict[tuple[int, Source, int, float], float] = {}
     series: dict[tuple[int, int, float], dict[int, FloatArray]] = {}
-    start = robot.coefficients.start
-    for term in robot.terms:
-        values = robot.values[start : start + len(term.parameters)]
-        start += len(term.parameters)
+    for term, values in term_values(robot):
         if not term.adds:
             continue
         for driven in driven_by(term, robot.mechanism):
@@ -265,7 +263,8 @@ def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str
     """Return the header of a file in lines; `base` is the name of the measurement frame's pose in the file."""
     joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))
     text = [f"The robot {facts.name}: poses of its tools from the commands of its joints.", "", *lines]
-    text += ["", f"Commands: {joints}. All units are SI.", f"Tools: {', '.join(_numbered_names(facts.tools))}."]
+    tools = ", ".join(f"{k} {name}" for k, name in enumerate(facts.tools))
+    text += ["", f"Commands: {joints}. All units are SI.", f"Tools: {tools}."]
     text.append("Poses of a tool are in the measurement frame, if the calibration places the robot in it.")
     if facts.base is None:
         text.append("Joints move that frame.")
@@ -274,7 +273,3 @@ def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str
     if facts.tree.closures:
         text.append("Where loops do not close in the assembly mode of home, the numbers are NaN.")
     return [" ".join(line.split()) for line in text]
-
-
-def _numbered_names(names: Sequence[str]) -> list[str]:
-    return [f"{k} {name}" for k, name in enumerate(names)]

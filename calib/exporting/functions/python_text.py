@@ -104,8 +104,8 @@ def _tree(tree: FunctionTree) -> dict[str, Any]:
             for joint in tree.joints
         ],
         "frames": [(frame.after, frame.placement, frame.moved_by.astype(int)) for frame in tree.frames],
-        "closures": [(closure.a, closure.b) for closure in tree.closures],
-        "rows": [3 * k + row for k, closure in enumerate(tree.closures) for row in closure.rows],
+        "closures": [(a, b) for a, b, _ in tree.closures],
+        "rows": [3 * k + row for k, (_, _, rows) in enumerate(tree.closures) for row in rows],
         "follows": tree.follows,
         "order": _order(tree),
         "scale": tree.scale,

@@ -61,21 +61,6 @@ class TreeFrame(ReadOnlyArrays):
     moved_by: BoolArray
 
 
-@dataclass(frozen=True)
-class Closure:
-    """A loop closure: components of frame b in frame a that must be zero.
-
-    Attributes:
-        a, b: Indices among the tree's frames.
-        rows: Zero components, of x, y, z; loops that constrain whole poses are refused
-            (`calib.exporting.functions.languages`).
-    """
-
-    a: int
-    b: int
-    rows: tuple[int, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class FunctionTree(ReadOnlyArrays):
     """Joints and frames from which kinematics are written.
@@ -83,7 +68,8 @@ class FunctionTree(ReadOnlyArrays):
     Attributes:
         joints: The joints, each after the joint that carries it.
         frames: Frames of interest.
-        closures: The loops.
+        closures: For each loop: a and b, indices among the frames, and the components (of x, y, z) of frame b in frame
+            a that must be zero; loops that constrain whole poses are refused (`calib.exporting.file_formats`).
         n_driven, n_passive: Sizes of the two parts of x.
         scale: Scale of each element of x: 1 rad, or a length, (n_driven + n_passive,).
         starts: Closed configurations, home first, (n_starts, n_driven + n_passive).
@@ -97,7 +83,7 @@ class FunctionTree(ReadOnlyArrays):
 
     joints: tuple[TreeJoint, ...]
     frames: tuple[TreeFrame, ...]
-    closures: tuple[Closure, ...]
+    closures: tuple[tuple[int, int, tuple[int, ...]], ...]
     n_driven: int
     n_passive: int
     scale: FloatArray
@@ -142,16 +128,16 @@ def tree_of(
     shared &= not from_root
     needed = np.logical_or.reduce([mechanism.support[index] > 0 for index in indices]) & ~shared
     joints, at = _fold_frames(mechanism, select, shared, needed)
-    numbers = [index for index in range(1, len(at)) if at[index].own]
-    kept = [_frame(mechanism, at, numbers, index) for index in indices]
-    closures = tuple(
-        Closure(len(frames) + 2 * k, len(frames) + 2 * k + 1, loop.rows) for k, loop in enumerate(mechanism.loops)
-    )
+    of_joints = [index - 1 for index in range(1, len(at)) if at[index].own]
     passive_scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+    n = len(frames)
     return FunctionTree(
         joints=joints,
-        frames=tuple(kept),
-        closures=closures,
+        frames=tuple(
+            TreeFrame(at[index].after, at[index].place.homogeneous, mechanism.support[index][of_joints] > 0)
+            for index in indices
+        ),
+        closures=tuple((n + 2 * k, n + 2 * k + 1, loop.rows) for k, loop in enumerate(mechanism.loops)),
         n_driven=len(mechanism.driven),
         n_passive=len(mechanism.passive),
         scale=np.concatenate([mechanism.driven_scale, passive_scale]),
@@ -211,12 +197,6 @@ def _to_z(axis: FloatArray) -> FloatArray:
     first = np.cross(np.roll(np.eye(3)[np.argmax(np.abs(axis))], 1), axis)
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first), axis], axis=1)
-
-
-def _frame(mechanism: Mechanism, at: list[_FramePlace], numbers: list[int], index: int) -> TreeFrame:
-    place = at[index]
-    moved_by = mechanism.support[index][[number - 1 for number in numbers]] > 0
-    return TreeFrame(place.after, place.place.homogeneous, moved_by)
 
 
 def _limits(mechanism: Mechanism) -> list[tuple[int, bool, float, float]]:

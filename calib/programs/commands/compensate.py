@@ -29,11 +29,11 @@ from calib.core.data.tables import read_table
 from calib.core.results.result_reading import load_result, read_content
 from calib.core.robots.robot import Robot
 from calib.programs.commands.compensate_gcode import compensate_gcode
-from calib.programs.commands.compensate_grid import compensate_grid
 from calib.programs.commands.compensate_program import compensate_controller
-from calib.programs.commands.report import Job, figures_of, frame_words, no_correction_sentence
+from calib.programs.commands.report import Job, figures_of, frame_words, no_correction_sentence, summary
 from calib.programs.languages import languages
 from calib.programs.languages.controller_program import COUPLED
+from calib.programs.languages.correction_grid import correction_grid
 from calib.programs.languages.gcode import SUFFIXES
 from calib.programs.languages.gcode_dialects import DIALECTS
 from calib.programs.reaching.compensation import Compensation, compensate
@@ -141,7 +141,7 @@ def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unre
     rows = _read_program(job.program, nominal, output)
     output.check(job.out)
     if grid is not None:
-        compensate_grid(job, rows, grid)
+        _compensate_grid(job, rows, grid)
         return
     with output.working(f"compensating {len(rows)} rows"):
         compensation = compensate(job.robot_knowledge, rows, keep=keep)
@@ -265,3 +265,40 @@ def _held_out_error(folder: str) -> float | None:
     """Root mean square error of the validation measurements [mm]; None if the fit had none."""
     errors = read_content(folder)["errors"].get("validation")
     return None if errors is None else errors["after"].get("rms")
+
+
+def _compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
+    """Write the table of corrections for the box of a program's positions, and report its interpolation error."""
+    if not isinstance(program, Goals):
+        raise InputError("--grid: PROGRAM has joints; give positions with one orientation")
+    try:
+        nx, ny, nz = (int(part) for part in grid.split(","))
+    except ValueError:
+        raise InputError(f"--grid '{grid}': write three numbers of nodes, such as 5,5,3") from None
+    with job.output.working("compensating the grid"):
+        corrections = correction_grid(job.robot_knowledge, program, (nx, ny, nz))
+    compensation, degrees = corrections.compensation, PER_SI["angle"]["deg"]
+    parts = [
+        (f"{compensation.target}_{{}} [mm]", millimetres(corrections.nodes)),
+        ("add_{} [mm]", millimetres(corrections.shift)),
+    ]
+    if program.rotations is not None:
+        parts.append(("turn_{} [deg]", corrections.turn * degrees))
+    columns = [(name.format(axis), cells_of(values[:, k])) for name, values in parts for k, axis in enumerate("xyz")]
+    off, angle = summary(millimetres(corrections.position_errors)), summary(corrections.angle_errors * degrees)
+    worst = f"{off['max']:.4f} mm and {angle['max']:.4f} deg at worst"
+    wrong = f"linear interpolation is off by {off['rms']:.4f} mm (RMS), {worst}"
+    kept = compensation.nothing_to_correct
+    done = f"all zero: {no_correction_sentence(job.result)}" if kept else wrong
+    comments = job.comments(f"corrections from {job.result}; {done}; {frame_words(compensation)}")
+    job.output.write(job.out, format_table(columns, comments))
+    figures = {
+        "before_mm": summary(millimetres(corrections.error_before)),
+        "expected_mm": summary(millimetres(corrections.expected_error)),
+        "interpolation_mm": off,
+        "interpolation_deg": {"max": angle["max"]},
+    }
+    at = f"{wrong[0].upper()}{wrong[1:]}, at {len(corrections.position_errors)} points between nodes"
+    what = count_noun(len(corrections.nodes), "node"), "with corrections", "all zero"
+    subjects = "At the nodes the tool", ""
+    job.report(compensation, figures, {"n_nodes": len(corrections.nodes)}, what, [] if kept else [at], subjects)

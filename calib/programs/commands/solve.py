@@ -111,18 +111,14 @@ def command(
 
 def _expected_error_lines(solution: Solution, reached: IntArray, source: str) -> list[str]:
     """Return sentences on the expected error of the real robot at the reached goals."""
-    expected, shown = solution.expected, solution.expected.figures()
-    lines = (
-        [f"The joint values are those of the nominal robot: {no_correction_sentence(source)}"]
-        if expected.nothing_to_correct
-        else []
-    )
-    for subject, name in (("The real robot", "expected"), ("Its orientation", "expected_angle")):
-        lines += [
-            expected_error_sentence(subject, summary(values[reached]), unit)
-            for (key, unit), values in shown.items()
-            if key == name
-        ]
+    expected, subjects = solution.expected, {"expected": "The real robot", "expected_angle": "Its orientation"}
+    of_nominal = f"The joint values are those of the nominal robot: {no_correction_sentence(source)}"
+    lines = [of_nominal] if expected.nothing_to_correct else []
+    lines += [
+        expected_error_sentence(subjects[name], summary(values[reached]), unit)
+        for (name, unit), values in expected.figures().items()
+        if name in subjects
+    ]
     return [*lines, frame_sentences(expected)]
 
 

@@ -64,24 +64,6 @@ class _Routine:
         return _join_states(self.states[at], state) if many and at in self.states else state
 
 
-@dataclass
-class Block:
-    """Branches or a loop that are still open.
-
-    Attributes:
-        kind, line: Word that opened the block, and its line.
-        loop: Whether the block is a loop.
-        end: Label after the block.
-        again: Label of the next branch or round.
-    """
-
-    kind: str
-    line: int
-    loop: bool
-    end: str
-    again: str
-
-
 class Flow:
     """A program as routines of steps.
 
@@ -92,7 +74,7 @@ class Flow:
     def __init__(self, start: State) -> None:
         self.start = dict(start)
         self.routines: dict[str, _Routine] = {}
-        self._open: list[tuple[str, list[Block]]] = [("", [])]  # reading begins outside all routines
+        self._open = [""]  # reading begins outside all routines
         self.routines[""] = _Routine(at_any_time=False)
         self._count = 0
 
@@ -107,7 +89,7 @@ class Flow:
         if name in self.routines:
             raise DataError(f"{where}: '{name}' is declared twice; give each routine its own name")
         self.routines[name] = _Routine(at_any_time)
-        self._open.append((name, []))
+        self._open.append(name)
 
     def finish(self) -> None:
         """End the open routine."""
@@ -118,12 +100,7 @@ class Flow:
     @property
     def routine(self) -> str:
         """Name of the open routine; empty outside of all routines."""
-        return self._open[-1][0]
-
-    @property
-    def blocks(self) -> list[Block]:
-        """Open branches and loops, the innermost last."""
-        return self._open[-1][1]
+        return self._open[-1]
 
     def _add(self, step: _Step) -> None:
         routine = self.routines[self.routine]
@@ -157,12 +134,13 @@ class Flow:
 
     def call(self, name: str, *, maybe: bool = False) -> None:
         """Record a call of a routine; with `maybe` the program may skip the call."""
-        over = self._new() if maybe else ""
-        if maybe:
-            self.note_jump(over)
-        self._add(_Step("call", name))
-        if maybe:
-            self.label(over)
+        if not maybe:
+            self._add(_Step("call", name))
+            return
+        over = self.new_label()
+        self.note_jump(over)
+        self.call(name)
+        self.label(over)
 
     def label(self, name: str) -> None:
         """Record a label that can be jumped to."""
@@ -176,45 +154,10 @@ class Flow:
         """Record a jump that the program may skip."""
         self._add(_Step("maybe", name))
 
-    def _new(self) -> str:
+    def new_label(self) -> str:
+        """Return the name of a label that no program has."""
         self._count += 1
         return f" {self._count}"
-
-    def open_choice(self, kind: str, line: int) -> None:
-        """Begin branches."""
-        self.blocks.append(Block(kind, line, False, self._new(), self._new()))
-
-    def next_choice(self) -> None:
-        """Begin the next branch."""
-        block = self.blocks[-1]
-        self.jump(block.end)
-        self.label(block.again)
-        block.again = self._new()
-
-    def open_loop(self, kind: str, line: int) -> None:
-        """Begin a loop."""
-        self.blocks.append(Block(kind, line, True, self._new(), self._new()))
-        self.label(self.blocks[-1].again)
-
-    def pass_over(self) -> None:
-        """Record that the program may skip the branch that begins here, or the rest of the loop."""
-        block = self.blocks[-1]
-        self.note_jump(block.end if block.loop else block.again)
-
-    def close(self) -> None:
-        """End the innermost branches or loop."""
-        block = self.blocks.pop()
-        if block.loop:
-            self.jump(block.again)
-        else:
-            self.label(block.again)
-        self.label(block.end)
-
-    def leave_loop(self, *, again: bool = False) -> None:
-        """Record a jump out of the innermost loop, or to its next round."""
-        block = next((block for block in reversed(self.blocks) if block.loop), None)
-        if block is not None:
-            self.jump(block.again if again else block.end)
 
     # states at the steps
 

@@ -92,10 +92,8 @@ def compensate_program(
     q, reasons = _solve_targets(program, cell, joints)
     rows = np.flatnonzero(np.isfinite(q).all(axis=1))
     if len(rows) == 0:
-        first = next(k for k, why in enumerate(reasons) if why)
-        raise DataError(
-            f"{program.targets[first].label}: {reasons[first]}; no target of the program can be compensated"
-        )
+        target, why = next((target, why) for target, why in zip(program.targets, reasons, strict=True) if why)
+        raise DataError(f"{target.label}: {why}; no target of the program can be compensated")
     targets = [program.targets[k] for k in map(int, rows)]
     poses = Poses(
         q[rows],
@@ -119,10 +117,7 @@ def compensate_program(
             remarks += _remark_on_configuration(cell, joints, target, q[k], command)
     for n, k in enumerate(map(int, rows)):
         reasons[k] = compensation.reasons[n]
-    lever = max(
-        (cell.lever(program_target.tool) for program_target in targets if program_target.rotation is not None),
-        default=0.0,
-    )
+    lever = max((cell.lever(each.tool) for each in targets if each.rotation is not None), default=0.0)
     return CompensatedProgram(
         program,
         compensation,

@@ -8,23 +8,138 @@ motion, jump, assignment or known word (a call, a macro) may change frames and t
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import replace
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.fanuc_positions import WORDS, FanucPosition, number_at, positions_of, sections_of
-from calib.programs.languages.frames import Frame, Frames, as_selected_frame
 from calib.programs.languages.harmless import FANUC, FANUC_OPTIONS
-from calib.programs.languages.reader import Reached, Reader
-from calib.programs.languages.robot_program import LeftOutError, ProgramSource
-from calib.programs.languages.tokens import ProgramWords, Span
+from calib.programs.languages.reader import Data, Frame, Frames, Reached, Reader, as_selected_frame
+from calib.programs.languages.robot_program import Configuration, LeftOutError, ProgramTarget
+from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_pattern
 
+_WORDS = word_pattern(
+    r"^[^\S\n]*\d*:[^\S\n]*(?:!|//)[^\n]*|^[^\S\n]*\d*:|(?i:MESSAGE)\[[^\]\n]*\]",
+    r"[$#]?[^\W\d]\w*",
+    r"<>|<=|>=|[-+*/%()\[\]{}=<>,.;:!&@#?^|~$]",
+    r"(?<=\[)[^\S\n]*\d+[^\S\n]*:[^\]\n]*|'[^'\n]*'|\"[^\"\n]*\"",
+)
+_SECTION = re.compile(r"^/(\w+)", re.MULTILINE)
+_CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
+_POSE, _JOINTS = ("X", "Y", "Z", "W", "P", "R"), ("J1", "J2", "J3", "J4", "J5", "J6")
+_TURNING = (0, 3, 4, 5)  # joints that CONFIG keeps within half a turn
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
 _CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
 _NUMBERED = ("UFRAME_NUM", "UTOOL_NUM")
 _STATE = ("UFRAME", "UTOOL", *_NUMBERED)
+
+
+def _sections(source: ProgramSource) -> tuple[slice, slice]:
+    """The text ranges of the instructions and of the positions of a program."""
+    sections = {match[1]: match for match in reversed([*_SECTION.finditer(source.text)])}
+    if not {"MN", "POS"} <= set(sections) or sections["MN"].start() > sections["POS"].start():
+        raise DataError(f"{source.path}: has no /MN and /POS sections; save the program as text (LS)")
+    end = sections["END"].start() if "END" in sections else None
+    return slice(sections["MN"].end(), sections["POS"].start()), slice(sections["POS"].end(), end)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _FanucPosition(Data):
+    """A position of `/POS`.
+
+    Attributes:
+        code: Words of the section.
+        groups: Names of its motion groups.
+        fields: By name of each field of the first group: index of its equals sign, span of its number, and its unit.
+        statements: Values after colons: UF, UT, CONFIG.
+    """
+
+    code: ProgramWords
+    groups: tuple[str, ...]
+    fields: Mapping[str, tuple[int, Span, str]]
+    statements: Mapping[str, str]
+
+    def target(self) -> ProgramTarget:
+        """Return the target, or raise `LeftOutError` or `DataError` if it cannot be compensated or is not complete.
+
+        Letters of CONFIG compare with the reference pose. N, U, T: the same side as in that pose; F: wrist flipped, D:
+        elbow down, B: behind axis 1. All turns must be 0.
+        """
+        if self.groups != ("GP1",):
+            raise LeftOutError("moves other motion groups, which the description does not have")
+        text, line, path = self.code.source.text, self.code.line(self.span[0]), self.code.source.path
+        if any(float(text[slice(*number)]) for key, (_, number, _) in self.fields.items() if key.startswith("E")):
+            raise LeftOutError("moves external axes, which the description does not have")
+        if set(_JOINTS) <= set(self.fields):
+            return ProgramTarget(line, path, self.name, self._cells(_JOINTS), None)
+        missing = next((key for key in _POSE if key not in self.fields), None)
+        if missing is not None:
+            raise self._error(f"{self.name} has no number for {missing}; correct it")
+        if not {"UF", "UT"} <= set(self.statements):
+            raise self._error(f"{self.name} does not say UF and UT; save the program again")
+        cells, match = self._cells(_POSE), _CONFIG.fullmatch(self.statements.get("CONFIG", ""))
+        if match is None:
+            raise self._error("has no CONFIG such as 'N U T, 0, 0, 0'; save it again")
+        if any(int(turn) for turn in match.groups()[3:]):
+            raise LeftOutError("its configuration counts turns; only 0, 0, 0 is read")
+        flags = {"flipped": match[1] == "F", "elbow": match[2] == "D", "behind": match[3] == "B"}
+        ranges = dict.fromkeys(_TURNING, (-np.pi, np.pi))
+        configuration = Configuration(f"CONFIG : {match[0]}", ranges, **flags)
+        return ProgramTarget(line, path, self.name, cells, "xyz", configuration=configuration)
+
+    def _error(self, what: str) -> DataError:
+        return DataError(f"{self.code.location(self.span[0])}: {what}")
+
+    def _cells(self, names: Sequence[str]) -> tuple[Number, ...]:
+        """Numbers with the blanks before them, which leave room for a sign."""
+        source, cells = self.code.source, []
+        for start, (first, end), unit in (self.fields[name] for name in names):
+            (cell,) = source.numbers([(first, end)], [MILLIMETRE if unit == "MM" else DEGREE])
+            decimals = len(source.text[first:end].partition(".")[2])
+            cells.append(replace(cell, start=start, width=end - start, decimals=decimals))
+        return tuple(cells)
+
+
+def _number_at(code: ProgramWords, at: int) -> str:
+    """The number in brackets after a word, without its comment."""
+    return code.tokens[at + 2].text.partition(":")[0].strip()
+
+
+def _positions(source: ProgramSource, part: slice) -> dict[str, _FanucPosition]:
+    """The positions of a section by their numbers as text."""
+    code, positions = ProgramWords(source, _WORDS, lines="blank", part=part), dict[str, _FanucPosition]()
+    for at in code.names(0, len(code.tokens) - 5):
+        opening = code.partner[at + 1] + 1
+        if code.tokens[at].text != "P" or not code.is_mark(at + 1, "[") or not code.is_mark(opening, "{"):
+            continue
+        number = _number_at(code, at)
+        if number in positions:
+            raise DataError(f"{code.location(at)}: P[{number}] is in /POS twice; save the program again")
+        positions[number] = _position(code, at, opening + 1, code.partner[opening])
+    return positions
+
+
+def _position(code: ProgramWords, at: int, first: int, stop: int) -> _FanucPosition:
+    groups, fields, written = [], dict[str, tuple[int, Span, str]](), dict[str, str]()
+    for k in code.names(first, stop):
+        name = code.tokens[k].text
+        if name.startswith("GP") and code.is_mark(k + 1, ":"):
+            groups.append(name)
+        elif code.is_mark(k + 1, ":"):
+            written.setdefault(name, code.tokens[k + 2].text)
+        elif code.is_mark(k + 1, "="):
+            behind = k + 4 if code.is_mark(k + 2, "-", "+") else k + 3
+            number, unit = code.number(k + 2, behind), code.tokens[behind].text
+            if number is not None and unit in ("MM", "DEG") and len(groups) < 2:
+                if name in fields:
+                    raise DataError(f"{code.location(k)}: {name} is given twice; save the program again")
+                fields[name] = (code.tokens[k + 1].end, number, unit)
+    name = f"P[{_number_at(code, at)}]"
+    return _FanucPosition(name, 0, (at, stop), code=code, groups=tuple(groups), fields=fields, statements=written)
 
 
 class FanucReader(Reader):
@@ -34,15 +149,11 @@ class FanucReader(Reader):
 
     def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
         source = ProgramSource.read(path, "a FANUC program as text (LS)")
-        instructions, positions = sections_of(source)
-        code = ProgramWords(source, WORDS, lines="blank", ends=";", part=instructions)
+        instructions, positions = _sections(source)
+        code = ProgramWords(source, _WORDS, lines="blank", ends=";", part=instructions)
         super().__init__([code], dict.fromkeys(_STATE, ""), frames, FANUC | set(harmless))
-        self.positions = positions_of(source, positions)
+        self.positions = _positions(source, positions)
         self.given = set(harmless)
-
-    def parameter(self, span: Span) -> tuple[list[str], bool]:
-        """Return nothing: programs have no parameters in the text."""
-        return [], False
 
     def read(self, at: int = 0) -> None:
         """Read all instructions; a jump with a computed number may lead to any label."""
@@ -51,7 +162,7 @@ class FanucReader(Reader):
         self.flow.label("any label")
         for at in code.names(0, len(code.tokens) - 3):
             if code.tokens[at].text == "LBL" and (at == 0 or code.tokens[at - 1].kind == "end"):
-                self.flow.note_jump(f"label {number_at(self.code, at)}")
+                self.flow.note_jump(f"label {_number_at(self.code, at)}")
         self.flow.label("first")
         super().read()
 
@@ -61,7 +172,7 @@ class FanucReader(Reader):
             return "PR"
         number = self.code.tokens[span[0] + 2]
         plain = span[1] == span[0] + 4 and (number.kind == "number" or ":" in number.text)
-        return f"P[{number_at(self.code, span[0]) if plain else '*'}]"
+        return f"P[{_number_at(self.code, span[0]) if plain else '*'}]"
 
     def names(self, first: int, stop: int) -> set[str]:
         """Return the registers and positions in a span of words."""
@@ -82,14 +193,13 @@ class FanucReader(Reader):
         comma = code.find_mark(at, stop, ",")
         while comma < stop and code.tokens[at].text in ("IF", "SELECT", "=", "ELSE"):
             self.decide(at, comma)
-            self.flow.open_choice(code.tokens[at].text, code.line(at))
-            self.flow.pass_over()
+            self.branch(at, comma)
             at, opened = comma + 1, opened + 1
             comma = code.find_mark(at, stop, ",")
         if at < stop:
             self._action(at, stop)
         for _ in range(opened):
-            self.flow.close()
+            self.close_block()
 
     def _action(self, at: int, stop: int) -> None:
         code, word = self.code, self.code.tokens[at].text
@@ -105,10 +215,10 @@ class FanucReader(Reader):
         elif word in ("ENDIF", "ENDFOR"):
             self.close(at, stop)
         elif word == "LBL" and code.is_mark(at + 1, "["):
-            self.flow.label(f"label {number_at(self.code, at)}")
+            self.flow.label(f"label {_number_at(self.code, at)}")
         elif word == "JMP":
             plain = code.is_mark(at + 2, "[") and code.partner[at + 2] == at + 4
-            self.flow.jump(f"label {number_at(self.code, at + 1)}" if plain else "any label")
+            self.flow.jump(f"label {_number_at(self.code, at + 1)}" if plain else "any label")
         elif word in ("END", "ABORT"):
             self.flow.jump("return")
         elif equals < stop and code.tokens[at].kind == "name":
@@ -163,15 +273,14 @@ class FanucReader(Reader):
 
     def _targets(self, places: list[Span], options: Span, state: State | None) -> None:
         changed = next((k for k in self.code.names(*options) if self.code.tokens[k].text in _CHANGED), None)
-        for span in places:
-            self.go(
-                span,
-                state,
-                lambda span=span: self._position(span, options, changed),  # type: ignore[misc]
-                lambda position, state: self._target(position, state, changed),
-            )
+        self.go(
+            places,
+            state,
+            lambda span: self._position(span, options, changed),
+            lambda position, state: self._target(position, state, changed),
+        )
 
-    def _position(self, span: Span, options: Span, changed: int | None) -> FanucPosition:
+    def _position(self, span: Span, options: Span, changed: int | None) -> _FanucPosition:
         name = self._place(span)
         if name == "PR":
             raise LeftOutError("is a position register; its numbers are not in the program")
@@ -191,7 +300,7 @@ class FanucReader(Reader):
             if not known and self.code.tokens[at - 1].text != "CALL":
                 raise LeftOutError(f"has an option that is not known here ({self.code.excerpt(at, at + 1)})")
 
-    def _target(self, position: FanucPosition, state: State, changed: int | None) -> Reached:
+    def _target(self, position: _FanucPosition, state: State, changed: int | None) -> Reached:
         """The target of a motion."""
         why = self.uses.why_not(position.name) or self.uses.why_not("P[*]")
         if changed is not None:

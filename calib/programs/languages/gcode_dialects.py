@@ -164,13 +164,12 @@ def find_dialect(path: Path | str, lines: Iterable[str], name: str | None = None
             raise InputError(f"--dialect {name}: must be one of {', '.join(DIALECTS)}")
         return DIALECTS[name]
     klippers = _KLIPPER | _KLIPPER_MOVING | CHANGING | {_SAVING, _RESTORING}
-    words = False
+    has_words = False
     for line in lines:
-        flavour = _FLAVOUR.match(line)
+        flavour, command = _FLAVOUR.match(line), _NAME.match(line)
         if flavour and flavour[1].lower() in _FLAVOURS:
             return DIALECTS[_FLAVOURS[flavour[1].lower()]]
-        command = _NAME.match(line)
-        words = words or (command is not None and command[1].upper() in klippers)
-    if words:
+        has_words |= command is not None and command[1].upper() in klippers
+    if has_words:
         return DIALECTS["klipper"]
     return DIALECTS["cnc"] if Path(path).suffix.lower() in (".nc", ".ngc") else _UNKNOWN

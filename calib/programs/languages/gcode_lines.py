@@ -63,25 +63,9 @@ class GcodeLine:
         return {letter: number for letter, number in self.words if letter not in "GM"}
 
     @cached_property
-    def moving(self) -> list[str]:
-        """G0 and G1."""
-        return [code for code in self.codes if code in ("G0", "G1")]
-
-    @cached_property
     def homing(self) -> str:
         """The command that homes or probes; empty if there is none."""
         return next((code for code in self.codes if code.split(".")[0] in _HOMING), "")
-
-    @cached_property
-    def takers(self) -> set[str]:
-        """Commands followed by X, Y, Z or E; an empty text if these precede all commands."""
-        takers, command = set(), ""
-        for word in self.words:
-            if word[0] in "GM":
-                command = _code(*word)
-            elif word[0] in "XYZE":
-                takers.add(command)
-        return takers
 
     def owner(self, vouched: Collection[str]) -> str:
         """Return the command other than a motion that takes X, Y, Z; empty if there is none."""
@@ -153,7 +137,13 @@ def require_order(line: GcodeLine, owner: str, dialect: Dialect) -> None:
     Raises:
         DataError: The line has such commands.
     """
-    codes, takers, moving = line.codes, line.takers, line.moving
+    codes, moving = line.codes, [code for code in line.codes if code in ("G0", "G1")]
+    takers, command = set(), ""  # commands followed by X, Y, Z or E; an empty text if these precede all commands
+    for word in line.words:
+        if word[0] in "GM":
+            command = _code(*word)
+        elif word[0] in "XYZE":
+            takers.add(command)
     if len(moving) > 1:
         raise line.refusal("has two motions; write one command per line")
     for pair in (("G20", "G21"), ("G90", "G91")):

@@ -1,28 +1,38 @@
 """Targets of KRL, the language of KUKA: a `.src` file with the `.dat` file beside it.
 
 The reader takes `PTP`, `LIN`, `CIRC`, `SPL` and their splines with positions (`E6POS`, `POS`, `FRAME`) and axes
-(`E6AXIS`, `AXIS`), declared in either file or written out, and the tool and base that hold on every path to the motion
-(`krl_frames`). A statement ends with its line; statements also begin after `THEN`, `ELSE`, `DO` and a label. A
-statement that is no assignment, branch, loop or known word may set its arguments, and all frames.
+(`E6AXIS`, `AXIS`), declared in either file or written out, and the tool and base that hold on every path to the motion.
+A statement ends with its line; statements also begin after `THEN`, `ELSE`, `DO` and a label. A statement that is no
+assignment, branch, loop or known word may set its arguments, and all frames.
+
+A program selects tool and base by inline forms (`FDAT_ACT` with a `BAS` after it, or `STOOL2` and `SBASE` of a spline),
+by `BAS(#TOOL, ...)` and `BAS(#BASE, ...)`, or by an assignment to `$TOOL` and `$BASE`. `TOOL_DATA` and `BASE_DATA` are
+in the controller's `$config.dat`, or in a table of frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from calib.programs.languages.control_flow import State
-from calib.programs.languages.frames import Frame, Frames, as_selected_frame
-from calib.programs.languages.krl_frames import SELECTED, KrlFrames
-from calib.programs.languages.reader import Data, Reached
-from calib.programs.languages.robot_program import Configuration, LeftOutError, ProgramSource
-from calib.programs.languages.tokens import Span
+from calib.programs.languages.control_flow import State, Unknown
+from calib.programs.languages.harmless import BAS_FORMS, BAS_HARMLESS, KRL
+from calib.programs.languages.reader import NO_VALUE, Data, Frame, Frames, Reached, Reader, as_selected_frame
+from calib.programs.languages.robot_program import Configuration, LeftOutError, pose_of
+from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_pattern
 
 SUFFIXES = (".src",)
+_SELECTED = ("$TOOL", "$BASE", "$IPO_MODE")
+_WORDS = word_pattern(
+    r"[;&][^\n]*", r"[$#]?[^\W\d][\w$]*", r"[=<>]=|<>|[-+*/()\[\]{}=<>,.:!?^%@~|]", r"\"[^\"\n]*\"|'[^'\n]*'"
+)
+_POSE = ("X", "Y", "Z", "A", "B", "C")
+_LISTS = ("TOOL_DATA", "BASE_DATA")
+_NULL = ("$NULLFRAME", "TOOL_DATA[0]", "BASE_DATA[0]")
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _MOVES = ("PTP", "LIN", "CIRC", "SPTP", "SLIN", "SCIRC", "SPL")
 _MODIFIERS = ("DECL", "GLOBAL", "CONST", "PUBLIC")
@@ -38,9 +48,13 @@ def krl_frames(path: Path | str) -> Frames:
     return {name: replace(frame, places=()) if isinstance(frame, Frame) else frame for name, frame in frames.items()}
 
 
-class KrlReader(KrlFrames):
-    """Reads a program and the `.dat` file beside it, if there is one; or a data list alone."""
+class KrlReader(Reader):
+    """Reads a program and the `.dat` file beside it, if there is one; or a data list alone.
 
+    Frames are those that the files do not set, such as `TOOL_DATA[1]`; names are in capitals.
+    """
+
+    language, danger = "KRL", "set a tool, base or frame"
     ROUTINES = "DEF DEFFCT"
     WORDS: ClassVar = {
         "begin": ROUTINES,
@@ -70,7 +84,16 @@ class KrlReader(KrlFrames):
         program = Path(path)
         data = [program.with_suffix(suffix) for suffix in (".dat", ".DAT", ".Dat") if program.suffix.lower() != ".dat"]
         files = [program, *[file for file in data if file.is_file()][:1]]
-        super().__init__([ProgramSource.read(file, "a KRL program") for file in files], frames, harmless)
+        codes = [ProgramWords(ProgramSource.read(file, "a KRL program"), _WORDS) for file in files]
+        start: dict[str, Hashable] = {
+            key: Unknown(f"nothing before it selects a {key[1:].lower()} (BAS, ${key[1:]}, an inline form)", whole=True)
+            for key in _SELECTED[:2]
+        }
+        start |= {"$IPO_MODE": "#BASE", "FDAT_ACT": Unknown("no FDAT_ACT before it", whole=True), "DATA": ""}
+        code = codes[0]
+        assigned = {code.tokens[at].text for at in code.names(1, len(code.tokens)) if code.is_mark(at - 1, "=")}
+        self._selecting = assigned | {*start, *_LISTS}
+        super().__init__(codes, start, frames, KRL | set(harmless))
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return the name of a parameter, and whether it is a reference."""
@@ -110,10 +133,10 @@ class KrlReader(KrlFrames):
 
     def begin_at_any_time(self, at: int, _: int) -> int:
         """Process `INTERRUPT DECL ... DO` and `TRIGGER ... DO`, whose statement runs while the robot moves."""
-        stop, do = self.code.line_end(at), self.word(at, "DO")
+        stop, do = self.code.line_end(at), self._word(at, "DO")
         self.decide(at, do)
         if do + 1 < stop:
-            self.run_at_any_time(at, lambda: self.statement(do + 1, self.word(do, "PRIO")))
+            self.run_at_any_time(at, lambda: self.statement(do + 1, self._word(do, "PRIO")))
         return stop
 
     def resume(self, at: int, behind: int) -> int:
@@ -153,7 +176,7 @@ class KrlReader(KrlFrames):
         elif is_name and equals < stop and (equals == at + 1 or after.text in ("[", ".")):
             self.assign(at, stop, equals)
             self.uses.note_change(word)
-            self.select_assigned(at, stop, equals)
+            self._select_assigned(at, stop, equals)
         elif word in ("ANIN", "DIGIN") and equals < stop:  # sets a variable repeatedly while the robot moves
             self.run_at_any_time(at, lambda: self.change(code.tokens[at + 2].text))
         elif word in self.harmless or (is_name and after.text == "(" and code.partner[at + 1] + 1 == stop):
@@ -167,22 +190,196 @@ class KrlReader(KrlFrames):
     def _move(self, at: int, stop: int) -> None:
         """Process a motion; after WITH, it has its own settings."""
         self.expression(at + 1, stop)
-        end = min(self.word(at, "WITH"), stop)
+        end = min(self._word(at, "WITH"), stop)
         if end < stop:
-            self.save("of the motion")
-            self.read_with_clause(end, stop)
+            self._save("of the motion")
+            self._read_with_clause(end, stop)
         self.flow.move(self.code.tokens[at].start, lambda state: self._targets(at, end, state))
         if end < stop:
-            self.restore("of the motion")
+            self._restore("of the motion")
+
+    # words and numbers
+
+    def _word(self, first: int, *words: str) -> int:
+        """Return the index of the first of these words in the rest of the line, or of the line's end."""
+        while self.code.tokens[first].kind != "end" and self.code.tokens[first].text not in words:
+            first = self.code.partner[first] + 1
+        return first
+
+    def _components(self, data: Data) -> dict[str, Span] | None:
+        """Return the spans of the numbers in braces by component; None if some component is not a plain number."""
+        code = self.codes[data.file]
+        inside = code.bracket_content(*data.span, "{")
+        if inside is None or data.span == NO_VALUE:
+            return None
+        left, right = inside
+        if right > left + 1 and code.is_mark(left + 1, ":"):  # the type may come first
+            left += 2
+        components = dict[str, Span]()
+        for start, end in code.split(left, right):
+            number = code.number(start + 1, end)
+            if number is None or code.tokens[start].kind != "name" or code.tokens[start].text in components:
+                return None
+            components[code.tokens[start].text] = number
+        return components
+
+    def _cells(self, data: Data, names: Sequence[str]) -> tuple[Number, ...]:
+        """Return the named components as numbers."""
+        components = self._components(data) or {}
+        units = [MILLIMETRE if name in "XYZ" else DEGREE for name in names]
+        return self.sources[data.file].numbers([components[name] for name in names], units)
+
+    def _pose_cells(self, data: Data) -> tuple[Number, ...] | None:
+        """Return the numbers of a pose; None unless they are six plain numbers."""
+        return self._cells(data, _POSE) if set(_POSE) <= set(self._components(data) or {}) else None
+
+    # tools and bases
+
+    def _frame_of(self, data: Data) -> Frame | None:
+        cells = self._pose_cells(data)
+        if cells is None:
+            return None
+        return Frame(pose_of([cell.value for cell in cells], "zyx"), (data.place,) if data.name else ())
+
+    def _frame(self, span: Span, state: State) -> Frame | Unknown:
+        """Value of a tool or base."""
+        if self.code.bracket_content(*span, "{"):
+            return self._frame_of(Data("", 0, span)) or Unknown("is not six plain numbers")
+        return self.frame_named(self.code.text(*span), state)
+
+    def frame_named(self, name: str, state: State) -> Frame | Unknown:
+        """Return the frame with this name."""
+        shown, base = name if "[" in name else name.lower(), name.partition("[")[0]
+        value, data = state.get(name), self.declared.get(name)
+        if name in _NULL:
+            return Frame()
+        if isinstance(value, (Frame, Unknown)):
+            return value
+        if base in _LISTS and isinstance(state["DATA"], Unknown):
+            return Unknown(f"{name} {state['DATA'].why}", whole=True)
+        given = self.frames.get(name)
+        safe = base in _LISTS or not (self.uses.is_set(name) or (data and data.shared and self.foreign))
+        if data is not None and safe and (frame := self._frame_of(data)) is not None:
+            return frame
+        if data is not None and base in _LISTS:
+            return Unknown(f"{name} is not six plain numbers", whole=True)
+        if given is not None:
+            return given
+        return Unknown(f"{shown} is not known here; give $config.dat with --frames", whole=True)
+
+    def _form(self, form: Hashable, state: State) -> dict[str, Hashable]:
+        """Tool, base and interpolation mode of an inline form."""
+        if isinstance(form, Unknown):
+            return dict.fromkeys(_SELECTED, form)
+        name, members = str(form), dict[str, str]()
+        data = self.declared.get(name)
+        if data is not None and data.kind == "FDAT":
+            code = self.codes[data.file]
+            for first, stop in code.split(data.span[0] + 1, data.span[1] - 1):
+                members[code.tokens[first].text] = code.text(first + 1, stop)
+        if not {"TOOL_NO", "BASE_NO"} <= set(members) or self.uses.is_set(name):
+            why = f"{name} is {'set while the program runs' if members else 'not declared here'}"
+            return dict.fromkeys(_SELECTED, Unknown(why, whole=True))
+        tool = self.frame_named(f"TOOL_DATA[{members['TOOL_NO']}]", state)
+        base = self.frame_named(f"BASE_DATA[{members['BASE_NO']}]", state)
+        return dict(zip(_SELECTED, (tool, base, members.get("IPO_FRAME", "#BASE")), strict=True))
+
+    def change(self, name: str, why: str = "is set while the program runs") -> None:
+        """Process a change of data, or of a frame."""
+        self.uses.note_change(name, why)
+        self._select(name, None, why)
+
+    def _select(self, name: str, value: Callable[[State], Hashable] | None, why: str = "") -> None:
+        """Record that a name which selects frames gets a value; without `value`, it becomes unknown."""
+        if name.partition("[")[0] in self._selecting:
+            self.flow.change([name], lambda state: {**state, name: value(state) if value else Unknown(why)})
+
+    def _select_assigned(self, at: int, stop: int, equals: int) -> None:
+        """Process an assignment that may select tool or base."""
+        code, word, line = self.code, self.code.tokens[at].text, self.code.line(at)
+        number = code.number(at + 2, equals - 1) if code.is_mark(at + 1, "[") and equals > at + 3 else None
+        whole = code.partner[at + 1] + 1 if number else at + 1  # after the element of an array
+        in_part = f"is set in part (line {line})"
+        if word in ("$IPO_MODE", "FDAT_ACT"):
+            text = code.text(equals + 1, stop)
+            self._select(word, (lambda _: text) if equals == at + 1 else None, in_part)
+        elif word.startswith("$") and word not in _SELECTED:
+            if word not in self.harmless:
+                self.flow.mark_unknown(f"is not known after {word} is set (line {line})")
+        elif equals == whole:
+            self._select(code.text(at, equals), lambda state: self._frame((equals + 1, stop), state))
+        elif number is not None or not code.is_mark(at + 1, "["):
+            self._select(code.text(at, whole), None, in_part)
+        elif word in _LISTS:
+            self._select("DATA", None, f"is not known after {word} is set (line {line})")
+
+    def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
+        """Process a call of BAS, which selects tool and base; return whether the call is known."""
+        name, code = self.code.tokens[at].text, self.code
+        if name != "BAS":
+            return name in self.harmless
+        given = code.split(*span)
+        what = code.tokens[given[0][0]].text if given else ""
+        if what in ("#TOOL", "#BASE") and len(given) == 2 and not maybe:
+            frame = f"{what[1:]}_DATA[{code.text(*given[1])}]"
+            self._select(f"${what[1:]}", lambda state: self.frame_named(frame, state))
+        elif what in BAS_FORMS and not maybe:
+            self.flow.change(_SELECTED, lambda state: {**state, **self._form(state["FDAT_ACT"], state)})
+        elif what not in BAS_HARMLESS:
+            self.flow.mark_unknown(f"is not selected after {code.excerpt(at, span[1] + 1)}", _SELECTED)
+        return True
+
+    def spline(self, at: int, _: int) -> int:
+        """Begin a spline, with its own selections after WITH."""
+        stop = self.code.line_end(at)
+        self._save("of the program")
+        self._read_with_clause(self._word(at, "WITH"), stop)
+        return stop
+
+    def end_spline(self, at: int, _: int) -> int:
+        """End a spline."""
+        self._restore("of the program")
+        return self.code.line_end(at)
+
+    def _save(self, key: str) -> None:
+        """Save the selected tool and base under a key."""
+        self.flow.change([key], lambda state: {**state, key: tuple(state[name] for name in _SELECTED)})
+
+    def _restore(self, key: str) -> None:
+        """Restore the tool and base that were saved under a key."""
+
+        def restored(state: State) -> State:
+            saved = state.get(key)
+            values = saved if isinstance(saved, tuple) else [Unknown("is not known after a spline")] * 3
+            return {**state, **dict(zip(_SELECTED, values, strict=True))}
+
+        self.flow.change(_SELECTED, restored)
+
+    def _read_with_clause(self, first: int, stop: int) -> None:
+        """Process the selections of one motion or spline, after WITH."""
+        code = self.code
+        for left, right in code.split(first + 1, stop):
+            name, line = code.tokens[left].text, code.line(left)
+            if name not in _SELECTED:
+                if name not in self.harmless and name != "$NULLFRAME":
+                    self.flow.mark_unknown(f"is not known where {name} is set (line {line})")
+            elif code.text(left + 2, left + 4) in ("STOOL(", "STOOL2(", "SBASE(", "SIPO_MODE("):
+                self.flow.change([name], self._with_form(name, code.tokens[left + 4].text))
+            elif code.is_mark(left + 1, "="):
+                self._select_assigned(left, right, left + 1)
+            else:
+                self._select(name, None, f"is set in part (line {line})")
+
+    def _with_form(self, name: str, form: str) -> Callable[[State], State]:
+        return lambda state: {**state, name: self._form(form, state)[name]}
 
     # targets
 
     def _targets(self, at: int, stop: int, state: State | None) -> None:
-        code, (base, _, relative) = self.code, self.code.tokens[at].text.partition("_")
+        code, (base, _, relative), spans = self.code, self.code.tokens[at].text.partition("_"), list[Span]()
         for first, last in code.split(at + 1, stop)[: 2 if base.endswith("CIRC") else 1]:
-            end = next((k for k in range(first, last) if code.tokens[k].text.startswith("C_")), last)
-            span = first, end
-            self.go(span, state, lambda span=span: self._data(span, bool(relative)), self._target)  # type: ignore[misc]
+            spans.append((first, next((k for k in range(first, last) if code.tokens[k].text.startswith("C_")), last)))
+        self.go(spans, state, lambda span: self._data(span, bool(relative)), self._target)
 
     def _data(self, span: Span, relative: bool) -> Data:
         """The numbers of a target, written out or declared."""
@@ -198,7 +395,7 @@ class KrlReader(KrlFrames):
 
     def _target(self, data: Data, state: State) -> Reached:
         self.require_constant(data)
-        components = self.components(data)
+        components = self._components(data)
         if components is None:
             raise LeftOutError("is not plain numbers")
         source = self.sources[data.file]
@@ -206,11 +403,11 @@ class KrlReader(KrlFrames):
         if any(numbers.get(f"E{k}", 0.0) for k in range(1, 7)):
             raise LeftOutError("moves external axes, which the description does not have")
         if set(_AXES) <= set(numbers):
-            return self.target(data, self.cells(data, _AXES))
-        cells = self.pose_cells(data)
+            return self.target(data, self._cells(data, _AXES))
+        cells = self._pose_cells(data)
         if cells is None:
             raise LeftOutError("gives only a part of a position; the rest depends on where the robot is")
-        tool, base = (as_selected_frame(key, state[key]) for key in SELECTED[:2])
+        tool, base = (as_selected_frame(key, state[key]) for key in _SELECTED[:2])
         mode = state["$IPO_MODE"]
         if mode != "#BASE":
             raise LeftOutError(

@@ -8,8 +8,7 @@ from pathlib import Path
 from calib.core.base.errors import InputError
 from calib.programs.languages import fanuc, krl, rapid, urscript
 from calib.programs.languages.control_flow import Unknown
-from calib.programs.languages.frames import Frame, Frames, read_frames
-from calib.programs.languages.reader import Reader
+from calib.programs.languages.reader import Frame, Frames, Reader, read_frames
 from calib.programs.languages.robot_program import RobotProgram
 
 _READERS: dict[str, Callable[[Path | str, Frames, Collection[str]], Reader]] = {
@@ -32,7 +31,7 @@ def read_program(path: Path | str, frames: Sequence[Path | str] = (), harmless: 
     Args:
         path: The file; its suffix decides the language.
         frames: Files with tools and frames that the program uses without declaring them: tables
-            (`calib.programs.languages.frames.read_frames`), RAPID modules, KUKA's `$config.dat`.
+            (`calib.programs.languages.reader.read_frames`), RAPID modules, KUKA's `$config.dat`.
         harmless: Routines declared elsewhere that change no target, tool, frame or mode.
 
     Raises:

@@ -45,7 +45,8 @@ class NominalCell:
     """
 
     def __init__(self, robot: Robot, base: str | None = None, flange: str | None = None) -> None:
-        self.robot, description = robot, robot.description
+        self.robot, description, n = robot, robot.description, len(robot.home)
+        self._lower, self._upper = (limit[:n] for limit in robot.urdf.limits(robot.mechanism.driven))
         links = [*robot.urdf.links]
         target = description.targets[robot.mechanism.moved_targets[0].name].frame
         self.base = self._link(base, "base", description.base.frame, links)
@@ -70,13 +71,10 @@ class NominalCell:
         return given or (usual if usual in links else otherwise)
 
     def _probes(self, count: int) -> FloatArray:
-        lower, upper = self._limits()
+        """Joint values spread over the limits, at most half a turn from home, (count, n_actuated) [m or rad]."""
+        lower = np.maximum(self._lower, self.robot.home - np.pi)
+        upper = np.minimum(self._upper, self.robot.home + np.pi)
         return lower + (upper - lower) * joint_samples(self.robot.mode, count + 1)[1:, : len(lower)]
-
-    def _limits(self) -> tuple[FloatArray, FloatArray]:
-        n = len(self.robot.home)
-        lower, upper = (limit[:n] for limit in self.robot.urdf.limits(self.robot.mechanism.driven))
-        return np.maximum(lower, self.robot.home - np.pi), np.minimum(upper, self.robot.home + np.pi)
 
     def flange_poses(self, q: FloatArray) -> list[pin.SE3]:
         """Return T_base_flange at joints (n, n_actuated) [m or rad]."""
@@ -133,9 +131,7 @@ class NominalCell:
 
     def _with_full_turns(self, q: FloatArray, before: FloatArray, says: Configuration | None) -> FloatArray:
         """The same pose with whole turns of joints added, in the stated ranges and near the pose before."""
-        n = len(before)
-        lower, upper = (limit[:n] for limit in self.robot.urdf.limits(self.robot.mechanism.driven))
-        turned = q[:n].copy()
+        lower, upper, turned = self._lower, self._upper, q[: len(before)].copy()
         for j, name in enumerate(self.robot.joint_names):
             if self.robot.mechanism.dimensions[name] != "angle":
                 continue
@@ -166,7 +162,7 @@ class Sides:
         joints = {joint.name: joint for joint in robot.urdf.joints}
         self._joints = [joints[name] for name in robot.joint_names]
         self._known = len(self._joints) == 6 and not robot.mechanism.loops
-        self._reference = self._measures(reference) if self._known else (None, 0.0, 0.0)
+        self._reference = self._measures(reference) if self._known else (np.zeros(3), 0.0, 0.0)
 
     def sides_at(self, q: FloatArray) -> tuple[bool | None, bool | None, bool | None, bool | None]:
         """Return whether wrist, elbow and joint 5 are on another side than in the reference, and joint 3 is bent.
@@ -180,17 +176,11 @@ class Sides:
             return None, None, None, None
         out, line, wrist = self._measures(q)
         reference, reference_line, reference_wrist = self._reference
-        assert out is not None
-        assert reference is not None
-        behind = float(out @ reference)
-        return (
-            behind < 0 if abs(behind) > _ALIKE else None,
-            line * reference_line < 0 if abs(line * reference_line) > _ALIKE else None,
-            wrist * reference_wrist < 0 if abs(wrist * reference_wrist) > _ALIKE else None,
-            line > 0 if abs(line) > _ALIKE else None,
-        )
+        products = (float(out @ reference), line * reference_line, wrist * reference_wrist, -line)
+        behind, elbow, flipped, bent = (value < 0 if abs(value) > _ALIKE else None for value in products)
+        return behind, elbow, flipped, bent
 
-    def _measures(self, q: FloatArray) -> tuple[FloatArray | None, float, float]:
+    def _measures(self, q: FloatArray) -> tuple[FloatArray, float, float]:
         """The wrist from axis 1 in link 1 [m], a signed measure of elbow bend [m^2], and the value of joint 5 [rad]."""
         links = [np.asarray(self.robot.forward(q, joint.child)) for joint in self._joints]
         first, second, third, wrist = links[0], links[1][:3, 3], links[2][:3, 3], links[4][:3, 3]

@@ -14,20 +14,26 @@ may set any of its arguments, and all data that are not `LOCAL`.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+import pinocchio as pin
 
+from calib.core.base.errors import DataError
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.frames import Frame, Frames
-from calib.programs.languages.harmless import RAPID_SETS
-from calib.programs.languages.rapid_data import SIZES, TWO_TARGETS, RapidData
-from calib.programs.languages.reader import NO_VALUE, Data, Reached
-from calib.programs.languages.robot_program import DEGREE, Configuration, LeftOutError, cells_at
-from calib.programs.languages.tokens import Span
+from calib.programs.languages.harmless import RAPID, RAPID_SETS
+from calib.programs.languages.reader import NO_VALUE, Data, Frame, Frames, Reached, Reader, as_selected_frame
+from calib.programs.languages.robot_program import Configuration, LeftOutError, pose_of
+from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_pattern
 
+_WORDS = word_pattern(r"![^\n]*", r"[^\W\d]\w*", r":=|<=|>=|<>|[-+*/()\[\]{}=<>,.:;\\?|%]")
+_SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # number of components by type
+_REFERENCES = ("INOUT", "PERS", "VAR", "REF")
+_TWO_TARGETS = re.compile(r"(MOVE|TRIGG|ARC|DISP|PAINT)C")
+_BY_NAME = ("SETDATAVAL", "SETALLDATAVAL", "GETDATAVAL")  # set or read data, even LOCAL ones, by a name in a text
+_FIXED = {"TOOL0": Frame(), "WOBJ0": Frame()}
 SUFFIXES = (".mod", ".modx", ".prg", ".sys")
 _OPERATORS = ("AND", "OR", "XOR", "NOT", "DIV", "MOD")
 _MOVE = re.compile(
@@ -64,9 +70,10 @@ def rapid_frames(path: Path | str) -> Frames:
     return frames
 
 
-class RapidReader(RapidData):
-    """Reads a module."""
+class RapidReader(Reader):
+    """Reads a module; `frames` and `harmless` are names in capitals."""
 
+    language, assigning, danger = "RAPID", ":=", "change a mode of motion"
     ROUTINES = "PROC FUNC"
     WORDS: ClassVar = {
         "begin": ROUTINES,
@@ -90,6 +97,15 @@ class RapidReader(RapidData):
         "condition halt": "EXIT EXITCYCLE RETRY TRYNEXT",
     }
 
+    def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
+        source = ProgramSource.read(path, "a RAPID module")
+        code = ProgramWords(source, _WORDS, lines="blank", ends=";:")
+        start: State = {"PDISP": None, "EOFFS": None, "CONFL": True, "CONFJ": True}
+        super().__init__([code], start, {**_FIXED, **frames}, RAPID | set(harmless))
+        self.sets_by_name = any(token.text in _BY_NAME for token in code.tokens)
+        traps = [at for at in code.names(0, len(code.tokens) - 2) if code.tokens[at].text == "TRAP"]
+        self.routines |= {code.tokens[at + 1].text: False for at in traps}
+
     def read(self, at: int = 0) -> None:
         """Read all statements after the header of a controller: %%% ... %%%."""
         marks = [at for at in range(len(self.code.tokens)) if self.code.is_mark(at, "%")][:6]
@@ -102,8 +118,8 @@ class RapidReader(RapidData):
         return behind
 
     def _close_compact(self) -> None:
-        while self.flow.blocks and self.flow.blocks[-1].kind == "":
-            self.flow.close()
+        while self.blocks and self.blocks[-1].kind == "":
+            self.close_block()
 
     def close(self, at: int, behind: int) -> int:
         """End branches or a loop, and the one-statement branches that they end."""
@@ -139,13 +155,13 @@ class RapidReader(RapidData):
         kind, name = code.tokens[at + 1].text, at + 2
         local = (at > 0 and code.tokens[at - 1].text == "LOCAL") or bool(self.flow.routine)
         equals = code.find_mark(name, stop, ":=")
-        if kind in SIZES:
+        if kind in _SIZES:
             shared = self.sets_by_name or (code.tokens[at].text != "CONST" and not local)
             value = equals + 1, stop
             shown, key = code.excerpt(name, name + 1), code.tokens[name].text
             if not code.is_mark(name + 1, "{"):
                 self.declare(key, Data(shown, 0, value if equals < stop else NO_VALUE, kind, shared))
-            for k, span in enumerate(self.parts(value) if code.is_mark(name + 1, "{") else (), 1):
+            for k, span in enumerate(self._parts(value) if code.is_mark(name + 1, "{") else (), 1):
                 self.declare(f"{key}{{{k}}}", Data(f"{shown}{{{k}}}", 0, span, kind, shared))
         self.expression(equals + 1, stop)
         self.uses.compute(code.tokens[name].text, self.names(equals + 1, stop))
@@ -168,9 +184,8 @@ class RapidReader(RapidData):
                 value = True
             stop += 1
         self.decide(at + 1, stop)
-        self.flow.open_choice("IF" if code.tokens[stop].text == "THEN" else "", code.line(at))
-        self.flow.pass_over()
-        return stop
+        self.open_block("IF" if code.tokens[stop].text == "THEN" else "", code.line(at))
+        return self.pass_over(at, stop)
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
         """Process a call of a built-in routine, which may set its arguments; return whether the call is known."""
@@ -233,19 +248,116 @@ class RapidReader(RapidData):
         elif name not in self.harmless:
             self.call_elsewhere(name, self.code.line(at))
 
+    def parameter(self, span: Span) -> tuple[list[str], bool]:
+        """Return the names of a parameter, and whether it is a reference."""
+        names = [
+            self.code.tokens[k].text
+            for k in self.code.names(*span)
+            if self.code.is_mark(k + 1, ",", ")", "\\", "|", "{")
+        ]
+        return names, bool(self.names(*span) & {*_REFERENCES})
+
+    def _parts(self, span: Span) -> list[Span]:
+        """Return the spans between the commas in brackets."""
+        inside = self.code.bracket_content(*span, "[")
+        return self.code.split(*inside) if inside else []
+
+    def _numbers(self, span: Span, count: int, what: str) -> list[tuple[int, int]]:
+        """The places of `count` plain numbers in brackets."""
+        spans = self._parts(span)
+        numbers = [self.code.number(*part) for part in spans]
+        for number, part in zip(numbers, spans, strict=True):
+            if number is None:
+                raise LeftOutError(f"'{self.code.excerpt(*part)}' is not a plain number")
+        if len(spans) != count:
+            raise DataError(f"{self.code.location(span[0])}: {what} has {len(spans)} numbers; expected {count}")
+        return [number for number in numbers if number is not None]
+
+    def _values(self, span: Span, count: int, what: str) -> list[float]:
+        """Return the plain numbers in brackets."""
+        return [float(self.sources[0].text[slice(*place)]) for place in self._numbers(span, count, what)]
+
+    def _complete(self, data: Data) -> list[Span]:
+        """Return the components of data; `DataError` if some are missing."""
+        parts = self._parts(data.span)
+        if len(parts) != _SIZES[data.kind]:
+            what = f"{data.kind.lower()} '{data.name}' is not complete; correct it"
+            raise DataError(f"{self.code.location(data.span[0])}: {what}")
+        return parts
+
+    def _pose(self, parts: Sequence[Span]) -> tuple[tuple[Number, ...], pin.SE3]:
+        """The numbers of a position and a quaternion, and the pose."""
+        where = self.code.location(parts[0][0])
+        if len(parts) != 2:
+            raise DataError(f"{where}: a frame is written [[x,y,z],[q1,q2,q3,q4]]; correct it")
+        spans = self._numbers(parts[0], 3, "a position") + self._numbers(parts[1], 4, "a quaternion")
+        cells = self.code.source.numbers(spans, (*[MILLIMETRE] * 3, *[0.0] * 4))
+        return cells, pose_of([cell.value for cell in cells], "quaternion", where)
+
+    def frame(self, data: Data) -> Frame:
+        """Return a tool or work object as a frame, or raise `LeftOutError`."""
+        parts = self._complete(data)
+        texts = [self.code.tokens[start].text for start, _ in parts]
+        if data.kind == "TOOLDATA" and texts[0] != "TRUE":
+            raise LeftOutError(f"tool '{data.name}' is not on the robot")
+        if data.kind == "WOBJDATA" and texts[0] != "FALSE":
+            raise LeftOutError(f"the robot holds work object '{data.name}'")
+        if data.kind == "WOBJDATA" and texts[1] != "TRUE":
+            raise LeftOutError(f"work object '{data.name}' is moved by another unit")
+        try:
+            poses = [
+                self._pose(self._parts(part))[1] for part in (parts[1:2] if data.kind == "TOOLDATA" else parts[3:])
+            ]
+        except LeftOutError as why:
+            raise LeftOutError(f"'{data.name}' is not constant: {why}") from None
+        return Frame(poses[0] if data.kind == "TOOLDATA" else poses[0] * poses[1])
+
+    def _is_frame(self, name: str, kind: str) -> bool:
+        """Whether the name belongs to a tool or work object, by `kind`."""
+        return self.declared[name].kind == kind if name in self.declared else name in self.frames
+
+    def _tool(self, word: str, spans: Sequence[Span]) -> Frame:
+        """Return the tool of a move, or raise `LeftOutError`."""
+        known = [name for name in (self.code.text(*span) for span in spans) if self._is_frame(name, "TOOLDATA")]
+        if not known:
+            place = 4 if _TWO_TARGETS.match(word) else 3
+            name = self.code.excerpt(*spans[place]) if len(spans) > place else "?"
+            raise LeftOutError(f"tool '{name}' is not declared here; give its module with --frames")
+        return self._usable(known[-1])
+
+    def _work_object(self, options: Mapping[str, Span]) -> Frame:
+        """Return the work object of a move, or raise `LeftOutError`."""
+        if "WOBJ" not in options:
+            return Frame()
+        name = self.code.text(*options["WOBJ"])
+        if not self._is_frame(name, "WOBJDATA"):
+            shown = self.code.excerpt(*options["WOBJ"])
+            raise LeftOutError(f"work object '{shown}' is not declared here; give its module with --frames")
+        return self._usable(name)
+
+    def _usable(self, name: str) -> Frame:
+        """The frame of a tool or work object that the program does not set, or `LeftOutError`."""
+        data, shown, base = self.declared.get(name), f"'{name.lower()}'", name.partition("{")[0]
+        if self.uses.is_set(base):
+            raise LeftOutError(f"{shown} {self.uses.why_not(base)}")
+        if self.foreign and name not in _FIXED and (data is None or data.shared):
+            raise LeftOutError(f"{shown} may be set by {self.foreign}")
+        if data is None or data.span == NO_VALUE:
+            return as_selected_frame(shown, self.frames.get(name, Unknown("is not constant: it has no value")))
+        return self.frame(data)
+
     # targets
 
     def _targets(self, word: str, spans: Sequence[Span], options: Mapping[str, Span], state: State | None) -> None:
-        targets = list(spans[: 2 if TWO_TARGETS.match(word) else 1])
+        targets = list(spans[: 2 if _TWO_TARGETS.match(word) else 1])
         if word.startswith("SEARCH"):
             targets = [span for span in spans[:4] if self.code.text(*span) in self.declared][-1:] or targets
-        for span in targets:
-            self.go(
-                span,
-                state,
-                lambda span=span: self._data(word, span),  # type: ignore[misc]
-                lambda data, state: self._target(word, data, spans, options, state),
-            )
+        self.go(
+            targets,
+            state,
+            lambda span: self._data(word, span),
+            lambda data, state: self._target(word, data, spans, options, state),
+        )
 
     def _data(self, word: str, span: Span) -> Data:
         """The data of a target that an argument writes out or names."""
@@ -268,18 +380,18 @@ class RapidReader(RapidData):
         self.require_constant(data)
         if "CORR" in options:
             raise LeftOutError("is corrected while the robot moves (\\Corr)")
-        parts = self.complete(data)
-        if any(value < _NONE for value in self.values(parts[-1], 6, "extax")):
+        parts = self._complete(data)
+        if any(value < _NONE for value in self._values(parts[-1], 6, "extax")):
             raise LeftOutError("moves external axes, which the description does not have")
         if isinstance(state["EOFFS"], Unknown):
             raise LeftOutError(f"an offset of axes {state['EOFFS'].why}")
         if data.kind == "JOINTTARGET":
-            cells = cells_at(self.sources[0], 0, self.numbers(parts[0], 6, "robax"), [DEGREE] * 6)
-            return self.target(data, cells)
-        cells, _ = self.pose(parts[:2])
+            spans = self._numbers(parts[0], 6, "robax")
+            return self.target(data, self.code.source.numbers(spans, [DEGREE] * 6))
+        cells, _ = self._pose(parts[:2])
         if isinstance(state["PDISP"], Unknown):
             raise LeftOutError(f"a program displacement {state['PDISP'].why}")
-        tool, frame = self.tool(word, spans), self.work_object(options)
+        tool, frame = self._tool(word, spans), self._work_object(options)
         checked = state["CONFJ" if word.startswith(("MOVEJ", "TRIGGJ")) else "CONFL"]
         if isinstance(checked, Unknown):
             raise LeftOutError(f"whether its configuration is checked {checked.why}")
@@ -288,7 +400,7 @@ class RapidReader(RapidData):
 
     def _configuration(self, span: Span) -> Configuration:
         """cf1, cf4, cf6 are quarter turns of axes 1, 4, 6; bit 4 of cfx is the side of axis 1, bit 2 of the arm."""
-        quarters = [round(value) for value in self.values(span, 4, "a configuration")]
+        quarters = [round(value) for value in self._values(span, 4, "a configuration")]
         ranges = {joint: (q * _QUARTER, (q + 1) * _QUARTER) for joint, q in zip((0, 3, 5), quarters[:3], strict=True)}
         behind, elbow = bool(quarters[3] & 4), bool(quarters[3] & 2)
         return Configuration(self.code.excerpt(*span), ranges, behind, elbow)

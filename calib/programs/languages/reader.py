@@ -11,17 +11,75 @@ setting.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TypeVar
 
-from calib.programs.languages.control_flow import State
-from calib.programs.languages.frames import Frame, Frames
-from calib.programs.languages.orientations import Rotation
-from calib.programs.languages.robot_program import Configuration, LeftOutError, Number, ProgramTarget, RobotProgram
+import pinocchio as pin
+
+from calib.core.base.errors import DataError
+from calib.core.data.tables import read_table
+from calib.programs.languages.control_flow import State, Unknown
+from calib.programs.languages.robot_program import (
+    Configuration,
+    LeftOutError,
+    Place,
+    ProgramTarget,
+    RobotProgram,
+    Rotation,
+    Visit,
+    pose_of,
+    program_of,
+)
 from calib.programs.languages.statements import Statements
-from calib.programs.languages.tokens import ProgramWords, Span
-from calib.programs.languages.visits import Place, Visit, program_of
+from calib.programs.languages.tokens import Number, ProgramWords, Span
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Pose of a tool or frame, and the places of the program's data that define it."""
+
+    pose: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    places: tuple[Place, ...] = ()
+
+
+Frames = Mapping[str, Frame | Unknown]
+"""Tools and frames by name."""
+
+
+def as_selected_frame(what: str, value: Hashable) -> Frame:
+    """Return the selected tool or frame; `what` names it in messages.
+
+    Raises:
+        LeftOutError: Its value is unknown.
+    """
+    if not isinstance(value, Frame):
+        unknown = value if isinstance(value, Unknown) else Unknown("is not known")
+        raise LeftOutError(unknown.why if unknown.whole else f"{what} {unknown.why}")
+    return value
+
+
+def read_frames(path: Path | str) -> dict[str, Frame | Unknown]:
+    """Read a table of tools and frames that a program uses without declaring them.
+
+    Columns: `name`; x, y, z [m]; rx, ry, rz [rad], about fixed axes. A tool is given in the flange, a frame in the
+    robot's base.
+
+    Raises:
+        DataError: The message names file, line and column.
+    """
+    table = read_table(path)
+    if "name" not in table.names:
+        raise DataError(f"{path}: no column 'name'; it says what the program calls each tool and frame")
+    names = [name.upper().replace(" ", "") for name in table.text("name")]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise DataError(f"{path}: '{twice}' is given twice; give each tool and frame once")
+    columns = [table.column(name, "length") for name in "xyz"]
+    columns += [table.column(name, "angle") for name in ("rx", "ry", "rz")]
+    return {name: Frame(pose_of(row, "xyz")) for name, *row in zip(names, *columns, strict=True)}
+
 
 NO_VALUE = (0, 0)
 """The span of data that are declared without a value."""
@@ -51,15 +109,7 @@ class Data:
         return self.file, self.span[0]
 
 
-class HasPlace(Protocol):
-    """An object with a place in the text."""
-
-    @property
-    def place(self) -> Place:
-        """File, and first word of the target's numbers."""
-
-
-_Goal = TypeVar("_Goal", bound=HasPlace)
+_Data = TypeVar("_Data", bound=Data)
 Reached = tuple[ProgramTarget, tuple[Place, ...]]
 """A target, and the places of the data that define its frame and tool."""
 
@@ -170,8 +220,8 @@ class Reader(Statements):
         data: Data,
         cells: tuple[Number, ...],
         rotation: Rotation | None = None,
-        frame: Frame = Frame(),  # noqa: B008
-        tool: Frame = Frame(),  # noqa: B008
+        frame: Frame = Frame(),
+        tool: Frame = Frame(),
         configuration: Configuration | None = None,
         near: tuple[float, ...] = (),
     ) -> Reached:
@@ -182,27 +232,28 @@ class Reader(Statements):
 
     def go(
         self,
-        span: Span,
+        spans: Iterable[Span],
         state: State | None,
-        find: Callable[[], _Goal],
-        target: Callable[[_Goal, State], Reached],
+        find: Callable[[Span], _Data],
+        target: Callable[[_Data, State], Reached],
     ) -> None:
-        """Process one target of a move.
+        """Process the targets of a move.
 
         Args:
-            span: Words of the target.
+            spans: Words of each target.
             state: Settings there; None: the program never comes there.
-            find: Returns the target's data; raises `LeftOutError` if they are not in the program.
+            find: Returns the data of a target, or raises `LeftOutError` if they are not in the program.
             target: Returns the target from data and settings, or raises `LeftOutError`.
         """
-        where = self.sources[0].path, self.code.line(span[0])
-        shown, place = self.code.excerpt(*span), None
-        try:
-            goal = find()
-            if state is None:
-                raise LeftOutError("is never reached by the program")
-            place = goal.place
-            reached, frames = target(goal, state)
-            self.visits.append(Visit(where, reached.name or shown, place, reached, frames=frames))
-        except LeftOutError as why:
-            self.visits.append(Visit(where, shown, place, why=str(why)))
+        for span in spans:
+            visit = Visit(self.sources[0].path, self.code.line(span[0]), self.code.excerpt(*span))
+            try:
+                data = find(span)
+                if state is None:
+                    raise LeftOutError("is never reached by the program")
+                visit = replace(visit, place=data.place)
+                reached, frames = target(data, state)
+                visit = replace(visit, text=reached.name or visit.text, target=reached, frames=frames)
+            except LeftOutError as why:
+                visit = replace(visit, why=str(why))
+            self.visits.append(visit)

@@ -12,56 +12,79 @@ listed with its line and the reason.
 
 from __future__ import annotations
 
-import re
-from bisect import bisect_left
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-from pathlib import Path
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
+import numpy as np
 import pinocchio as pin
 
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
-from calib.core.base.files import read_bytes
-from calib.core.base.units import PER_SI
-from calib.programs.languages.orientations import Rotation, numbers_of, pose_of
+from calib.programs.languages.tokens import Number, ProgramSource
 
-DEGREE, MILLIMETRE = 1 / PER_SI["angle"]["deg"], 1 / PER_SI["length"]["mm"]
-_DECIMALS = {1.0: 7, MILLIMETRE: 4, DEGREE: 5}  # least number of decimals, by unit
-_QUATERNION_DECIMALS = 9
-_LARGEST = 1e6
+_UNIT_LENGTH = 1e-3  # allowed deviation of a quaternion from unit length
+Rotation = Literal["vector", "quaternion", "zyx", "xyz"]
+"""How a language writes an orientation: rotation vector; quaternion w, x, y, z; angles about z, y', x'' (A, B, C of
+KUKA); the same rotation as angles x, y, z about fixed axes (W, P, R of FANUC)."""
+
+
+def pose_of(values: Sequence[float], rotation: Rotation, where: str = "") -> pin.SE3:
+    """Return the pose of a position [m] and an orientation in a language's form [rad or quaternion].
+
+    Raises:
+        DataError: The quaternion does not have unit length.
+    """
+    turned = np.array(values[3:])
+    if rotation == "quaternion" and abs(np.linalg.norm(turned) - 1) > _UNIT_LENGTH:
+        raise DataError(f"{where}: the quaternion has length {np.linalg.norm(turned):.6g}, not 1; correct it")
+    return pin.SE3(_ROTATIONS[rotation][0](turned), np.array(values[:3]))
+
+
+def numbers_of(pose: pin.SE3, rotation: Rotation, near: Sequence[float]) -> tuple[float, ...]:
+    """Return the numbers of a pose [m, rad], among equal orientations those nearest to the numbers `near`."""
+    turned = _ROTATIONS[rotation][1](pose.rotation, np.array(near[3:]))
+    return (*map(float, pose.translation), *map(float, turned))
+
+
+def _to_vector(R: FloatArray, near: FloatArray) -> FloatArray:
+    """The rotation vector nearest to `near`, (3,), among those of the same rotation."""
+    v = np.asarray(pin.log3(R))
+    angle = float(np.linalg.norm(v))
+    if angle < 1e-9:
+        return v
+    return _nearest((v * (1 + 2 * np.pi * k / angle) for k in (-1, 0, 1)), near)
+
+
+def _to_quaternion(R: FloatArray, near: FloatArray) -> FloatArray:
+    x, y, z, w = pin.Quaternion(R).normalized().coeffs()
+    return _nearest((np.array([w, x, y, z]), -np.array([w, x, y, z])), near)
+
+
+def _to_xyz(R: FloatArray, near: FloatArray) -> FloatArray:
+    """Roll, pitch and yaw nearest to `near`, (3,), among both triples of the same rotation."""
+    angles = np.asarray(pin.rpy.matrixToRpy(R))
+    other = np.array([angles[0] + np.pi, np.pi - angles[1], angles[2] + np.pi])
+    best = _nearest((v + 2 * np.pi * np.round((near - v) / (2 * np.pi)) for v in (angles, other)), near)
+    return np.where(np.abs(best) > np.pi, best - np.sign(best) * 2 * np.pi, best)
+
+
+def _nearest(vectors: Iterable[FloatArray], near: FloatArray) -> FloatArray:
+    return min(vectors, key=lambda vector: float(np.linalg.norm(vector - near)))
+
+
+_ROTATIONS: dict[
+    Rotation, tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray, FloatArray], FloatArray]]
+] = {
+    "vector": (pin.exp3, _to_vector),
+    "quaternion": (lambda q: pin.Quaternion(*(q / np.linalg.norm(q))).toRotationMatrix(), _to_quaternion),
+    "zyx": (lambda v: pin.rpy.rpyToMatrix(*v[::-1]), lambda R, near: _to_xyz(R, near[::-1])[::-1]),
+    "xyz": (lambda v: pin.rpy.rpyToMatrix(*v), _to_xyz),
+}
 
 
 class LeftOutError(Exception):
     """A target of a program cannot be compensated; the message says why."""
-
-
-@dataclass(frozen=True)
-class Number:
-    """A number of a program.
-
-    Attributes:
-        file: Index of its file in the program.
-        start, end: Its span in the text.
-        value: Value [SI].
-        unit: Size of its unit in SI.
-        decimals: Number of decimals to write.
-        width: Number of characters to fill with blanks on the left; 0: as many as needed.
-    """
-
-    file: int
-    start: int
-    end: int
-    value: float
-    unit: float
-    decimals: int
-    width: int = 0
-
-    def format(self, value: float) -> str:
-        """Return the text of a value [SI] in this place."""
-        text = f"{value / self.unit:.{self.decimals}f}"
-        text = text.replace("-", "") if float(text) == 0 else text
-        return text.rjust(self.width)
 
 
 @dataclass(frozen=True)
@@ -134,56 +157,33 @@ class ProgramTarget:
         return numbers_of(pose, self.rotation, self.values)
 
 
+Place = tuple[int, int]
+"""Where numbers stand: index of the file, and index of their first word."""
+
+
 @dataclass(frozen=True)
-class NotCompensated:
-    """A target that stays unchanged: its file, line, text there, and the reason."""
+class Visit:
+    """A move of a program to a target.
+
+    Attributes:
+        path, line: File and line of the move.
+        text: The text there.
+        place: Place of the target's numbers; None if the program does not have them.
+        target: The target; None if it cannot be compensated.
+        why: Why the target stays unchanged; empty if it does not.
+        frames: Places of the program's data that define its frame or tool.
+    """
 
     path: str
     line: int
     text: str
-    why: str
+    place: Place | None = None
+    target: ProgramTarget | None = None
+    why: str = ""
+    frames: tuple[Place, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.path}, line {self.line}: {self.text}: {self.why}"
-
-
-@dataclass(frozen=True)
-class ProgramSource:
-    """A file of a program: its bytes as text, each byte a character."""
-
-    path: str
-    text: str
-
-    @classmethod
-    def read(cls, path: Path | str, what: str) -> ProgramSource:
-        """Read a file; `what` names the expected content in messages.
-
-        Raises:
-            DataError: The file cannot be read, or is not text.
-        """
-        text = read_bytes(path, what, DataError).decode("latin-1")
-        odd = re.search(r"[\x00-\x08\x0e-\x1f]", text)
-        if odd is not None:
-            line = text.count("\n", 0, odd.start()) + 1
-            raise DataError(f"{path}, line {line}: is not text; is this {what}?")
-        return cls(str(path), text)
-
-    @cached_property
-    def _ends(self) -> list[int]:
-        """Ends of lines."""
-        return [match.start() for match in re.finditer("\n", self.text)]
-
-    def line(self, at: int) -> int:
-        """Return the line of a place in the text, from 1."""
-        return bisect_left(self._ends, at) + 1
-
-    def location(self, at: int) -> str:
-        """Return file and line of a place in the text."""
-        return f"{self.path}, line {self.line(at)}"
-
-    def excerpt(self, start: int, end: int) -> str:
-        """Return a piece of the program for a message: one line of at most 60 characters."""
-        return " ".join(self.text[start : min(end, start + 1000)].split())[:60]
 
 
 @dataclass(frozen=True)
@@ -194,23 +194,23 @@ class RobotProgram:
         language: Name of its language.
         sources: Its files, the given file first.
         targets: Targets in the order in which the text first goes to them.
-        left_out: Targets that stay unchanged.
+        left_out: Visits whose targets stay unchanged.
     """
 
     language: str
     sources: tuple[ProgramSource, ...]
     targets: tuple[ProgramTarget, ...]
-    left_out: tuple[NotCompensated, ...]
+    left_out: tuple[Visit, ...]
 
     def rewritten(self, values: Sequence[Sequence[float] | None]) -> tuple[bytes, ...]:
         """Return the contents of its files with other numbers of each target [SI]; None: the target stays."""
         texts = []
-        for k, source in enumerate(self.sources):
+        for source in self.sources:
             edits = [
                 (cell, number)
                 for target, numbers in zip(self.targets, values, strict=True)
                 for cell, number in zip(target.cells, numbers or (), strict=numbers is not None)
-                if cell.file == k
+                if cell.source is source
             ]
             text, end = [], 0
             for cell, number in sorted(edits, key=lambda edit: edit[0].start):
@@ -226,26 +226,60 @@ class RobotProgram:
         )
 
 
-def cells_at(
-    source: ProgramSource, file: int, spans: Iterable[tuple[int, int]], units: Sequence[float]
-) -> tuple[Number, ...]:
-    """Return numbers of a text.
+def program_of(language: str, sources: Sequence[ProgramSource], visits: Iterable[Visit]) -> RobotProgram:
+    """Return a program with the targets that can be compensated, from visits in the order of the text.
 
-    Args:
-        source: The text.
-        file: Its index in the program.
-        spans: Places of the numbers.
-        units: Size of each number's unit in SI; 0 for components of a quaternion.
+    The numbers of a target stand in one place, and the program may go there several times. They stay unchanged if any
+    of these visits cannot be compensated, if visits have different tools or frames, or if the target would move along
+    with another target that is its frame or tool.
 
     Raises:
-        DataError: A number is larger than any machine reads.
+        DataError: No target can be compensated.
     """
-    cells = []
-    for (start, end), unit in zip(spans, units, strict=True):
-        text = source.text[start:end]
-        if abs(float(text)) > _LARGEST:
-            raise DataError(f"{source.location(start)}: '{text:.20}' is beyond what any machine reads; correct it")
-        least = _DECIMALS[unit] if unit else _QUATERNION_DECIMALS
-        written = len(re.split("[eE]", text)[0].partition(".")[2])
-        cells.append(Number(file, start, end, float(text) * (unit or 1.0), unit or 1.0, max(least, written)))
-    return tuple(cells)
+    left = list[Visit]()
+    same = dict[Place, list[Visit]]()
+    for visit in visits:
+        if visit.target is None:
+            left.append(visit)
+        if visit.place is not None:
+            same.setdefault(visit.place, []).append(visit)
+    targets = dict[Place, ProgramTarget]()
+    for place, group in same.items():
+        stays = next((visit for visit in group if visit.target is None or _differs(group[0], visit)), None)
+        if stays is None:
+            targets[place] = _join_visits(group)
+            continue
+        if stays.target is not None:
+            left.append(replace(stays, why="is reached with different tools or frames; give each a target"))
+        because = f"stays as it is because of line {stays.line}"
+        left += [replace(visit, why=because) for visit in group if visit.target is not None and visit is not stays]
+    along = {
+        place: targets[frame].name
+        for place in targets
+        for visit in same[place]
+        for frame in reversed(visit.frames)
+        if frame in targets
+    }
+    for place, name in along.items():
+        why = f"moves along with {name}, a target that is its frame or tool"
+        left += [replace(visit, why=why) for visit in same[place]]
+        del targets[place]
+    once = {(visit.path, visit.line, visit.text): visit for visit in reversed(left)}  # the first reason counts
+    ordered = sorted(once.values(), key=lambda visit: (visit.path != sources[0].path, visit.line))
+    if not targets:
+        why = f"; {ordered[0]}" if ordered else ""
+        raise DataError(f"{sources[0].path}: has no targets that can be compensated as {language}{why}")
+    return RobotProgram(language, tuple(sources), tuple(targets.values()), tuple(ordered))
+
+
+def _differs(first: Visit, visit: Visit) -> bool:
+    one, other = first.target, visit.target
+    if one is None or other is None or one.rotation is None:
+        return False
+    return not (one.frame.isApprox(other.frame) and one.tool.isApprox(other.tool))
+
+
+def _join_visits(group: Sequence[Visit]) -> ProgramTarget:
+    """The target of equal visits, with the first stated near joints."""
+    targets = [visit.target for visit in group if visit.target is not None]
+    return replace(targets[0], near=next((target.near for target in targets if target.near), ()))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 from calib.core.base.errors import DataError
@@ -15,6 +16,24 @@ from calib.programs.languages.tokens import ProgramWords, Span
 
 Action = Callable[[int, int], int]
 """Processes a statement from the index of its first word and the next index; returns where reading goes on."""
+
+
+@dataclass
+class Block:
+    """Branches or a loop that are still open.
+
+    Attributes:
+        kind, line: Word that opened the block, and its line.
+        loop: Whether the block is a loop.
+        end: Label after the block.
+        again: Label of the next branch or round.
+    """
+
+    kind: str
+    line: int
+    loop: bool
+    end: str
+    again: str
 
 
 class Statements(ABC):
@@ -27,16 +46,19 @@ class Statements(ABC):
     Attributes:
         WORDS: Words that begin statements, by the names of the methods that process them.
         ROUTINES: Words that begin routines with their parameters in brackets.
+        THREADS: Those whose routines run at the same time as the others.
         routines: Whether each routine of the program can set its arguments.
     """
 
     breaking = True  # whether statements end before words of `WORDS`, too
     WORDS: ClassVar[Mapping[str, str]] = {}
     ROUTINES: ClassVar[str] = ""
+    THREADS: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, codes: Sequence[ProgramWords], start: State) -> None:
         self.sources, self.codes, self.code = [code.source for code in codes], codes, codes[0]
         self.flow, self.uses = Flow(start), DataUses()
+        self._blocks: dict[str, list[Block]] = {}
         self.words: dict[str, list[Action]] = {
             word: [getattr(self, action) for action in actions.split()]
             for actions, words in self.WORDS.items()
@@ -47,9 +69,9 @@ class Statements(ABC):
             if self.code.tokens[at].text in self.ROUTINES.split():
                 self._find_routine(at)
 
-    @abstractmethod
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return the names of a parameter, and whether the routine can set its argument."""
+        return [self.code.tokens[span[0]].text], False
 
     @abstractmethod
     def statement(self, at: int, stop: int) -> None:
@@ -93,8 +115,8 @@ class Statements(ABC):
                 self.statement(at, stop)
                 at = stop
         path = self.sources[0].path
-        if self.flow.blocks:
-            raise DataError(f"{path}, line {self.flow.blocks[-1].line}: the block that begins here has no end; add it")
+        if self.blocks:
+            raise DataError(f"{path}, line {self.blocks[-1].line}: the block that begins here has no end; add it")
         if self.flow.routine:
             raise DataError(f"{path}: routine '{self.flow.routine.lower()}' has no end; correct it")
         self.flow.finish()
@@ -140,19 +162,15 @@ class Statements(ABC):
                 self.uses.compute(parameter, [f"{name}()"])
         self.routines[name] = settable
 
-    def begin(self, at: int, _: int, *, at_any_time: bool = False) -> int:
-        """Begin a routine."""
-        bracket = self._routine(at)
+    def begin(self, at: int, _: int) -> int:
+        """Begin a routine; those of `THREADS` run at the same time as the others."""
+        bracket, at_any_time = self._routine(at), self.code.tokens[at].text in self.THREADS
         self.flow.begin(self.code.tokens[bracket - 1].text, self.code.location(at), at_any_time=at_any_time)
         return self.code.partner[bracket] + 1
 
-    def begin_thread(self, at: int, behind: int) -> int:
-        """Begin a routine that runs at the same time as the others."""
-        return self.begin(at, behind, at_any_time=True)
-
     def finish(self, at: int, behind: int) -> int:
         """End the open routine, or raise `syntax_error`."""
-        if not self.flow.routine or self.flow.blocks:
+        if not self.flow.routine or self.blocks:
             raise self.syntax_error(at, "ends nothing")
         self.flow.finish()
         return behind
@@ -163,7 +181,28 @@ class Statements(ABC):
         take()
         self.flow.finish()
 
-    # words of branches and loops
+    # branches and loops
+
+    @property
+    def blocks(self) -> list[Block]:
+        """Open branches and loops of the routine, the innermost last."""
+        return self._blocks.setdefault(self.flow.routine, [])
+
+    def open_block(self, kind: str, line: int, *, loop: bool = False) -> None:
+        """Begin branches or a loop."""
+        block = Block(kind, line, loop, self.flow.new_label(), self.flow.new_label())
+        self.blocks.append(block)
+        if loop:
+            self.flow.label(block.again)
+
+    def close_block(self) -> None:
+        """End the innermost branches or loop."""
+        block = self.blocks.pop()
+        if block.loop:
+            self.flow.jump(block.again)
+        else:
+            self.flow.label(block.again)
+        self.flow.label(block.end)
 
     def skip(self, at: int, behind: int) -> int:
         """Go on after the word."""
@@ -181,19 +220,23 @@ class Statements(ABC):
 
     def branch(self, at: int, behind: int) -> int:
         """Begin branches; the program may skip the first."""
-        self.flow.open_choice(self.code.tokens[at].text, self.code.line(at))
+        self.open_block(self.code.tokens[at].text, self.code.line(at))
         return self.pass_over(at, behind)
 
     def begin_branch(self, at: int, behind: int) -> int:
         """Begin the next branch, or raise `syntax_error` outside of branches."""
-        if not self.flow.blocks or self.flow.blocks[-1].loop:
+        if not self.blocks or self.blocks[-1].loop:
             raise self.syntax_error(at, "belongs to nothing")
-        self.flow.next_choice()
+        block = self.blocks[-1]
+        self.flow.jump(block.end)
+        self.flow.label(block.again)
+        block.again = self.flow.new_label()
         return behind
 
     def pass_over(self, _: int, behind: int) -> int:
         """Record that the program may skip the rest of the branch or loop."""
-        self.flow.pass_over()
+        block = self.blocks[-1]
+        self.flow.note_jump(block.end if block.loop else block.again)
         return behind
 
     def count(self, at: int, behind: int) -> int:
@@ -203,22 +246,22 @@ class Statements(ABC):
 
     def repeat(self, at: int, behind: int) -> int:
         """Begin a loop."""
-        self.flow.open_loop(self.code.tokens[at].text, self.code.line(at))
+        self.open_block(self.code.tokens[at].text, self.code.line(at), loop=True)
         return behind
 
     def end_loop(self, at: int, behind: int) -> int:
         """End a loop with a condition, or raise `syntax_error` outside of loops."""
-        if not self.flow.blocks or self.flow.blocks[-1].kind != "REPEAT":
+        if not self.blocks or self.blocks[-1].kind != "REPEAT":
             raise self.syntax_error(at, "belongs to nothing")
         behind = self.pass_over(at, self.condition(at, behind))
-        self.flow.close()
+        self.close_block()
         return behind
 
     def close(self, at: int, behind: int) -> int:
         """End branches or a loop, named by the word after `END`, or raise `syntax_error`."""
-        if not self.flow.blocks or self.flow.blocks[-1].kind != self.code.tokens[at].text[3:]:
+        if not self.blocks or self.blocks[-1].kind != self.code.tokens[at].text[3:]:
             raise self.syntax_error(at, "ends nothing")
-        self.flow.close()
+        self.close_block()
         return behind
 
     # jumps
@@ -230,12 +273,14 @@ class Statements(ABC):
 
     def leave_loop(self, _: int, behind: int) -> int:
         """Leave the innermost loop."""
-        self.flow.leave_loop()
+        for block in [block for block in self.blocks if block.loop][-1:]:
+            self.flow.jump(block.end)
         return behind
 
     def begin_again(self, _: int, behind: int) -> int:
         """Go to the next round of the innermost loop."""
-        self.flow.leave_loop(again=True)
+        for block in [block for block in self.blocks if block.loop][-1:]:
+            self.flow.jump(block.again)
         return behind
 
     def leave(self, at: int, _: int) -> int:

@@ -39,9 +39,8 @@ from calib.core.rows.frames import CorrectionFrame, program_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.programs.reaching.compensation import compensate_in
 from calib.programs.reaching.goals import Goals
-from calib.programs.reaching.inverse import problem
+from calib.programs.reaching.inverse import TOLERANCE, problem
 from calib.programs.reaching.reaching import GoalConfigurations, descend
-from calib.programs.reaching.search import TOLERANCE
 
 _MEASURED_EVERY = 2e-3  # distance of checked points along a piece [m]
 _AT_LEAST = 3  # checked points of a piece on each side of its middle
@@ -153,10 +152,11 @@ def compensate_moves(
         needed = np.ceil(_RESERVE * pieces[active] * np.sqrt(off / tolerance)).astype(np.intp)
         pieces[active] = np.maximum(needed, 2 * pieces[active])
         _require_length(moves, active, lengths[active] / pieces[active], off, tolerance)
+    in_order = [ways[k] for k in range(len(lengths))]
     return CompensatedMoves(
-        tuple(ways[k].waypoints[1:] for k in range(len(lengths))),
-        np.array([ways[k].before for k in range(len(lengths))]),
-        np.array([ways[k].expected for k in range(len(lengths))]),
+        tuple(way.waypoints[1:] for way in in_order),
+        np.array([way.before for way in in_order]),
+        np.array([way.expected for way in in_order]),
         deviations,
         n_measured,
         frame.words,

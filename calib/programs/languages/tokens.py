@@ -1,4 +1,4 @@
-"""The words of a program without comments: numbers, names, marks and ends of lines, with matching brackets.
+"""Files of programs: their words without comments (numbers, names, marks, ends of lines), with matching brackets.
 
 A language is one pattern of its words; any other character is an error. The alternatives of the pattern never go back
 over text that they have read, so the time is linear in the text.
@@ -7,16 +7,107 @@ over text that they have read, so the time is linear in the text.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 from calib.core.base.errors import DataError
-from calib.programs.languages.robot_program import ProgramSource
+from calib.core.base.files import read_bytes
+from calib.core.base.units import PER_SI
 
+DEGREE, MILLIMETRE = 1 / PER_SI["angle"]["deg"], 1 / PER_SI["length"]["mm"]
+_DECIMALS = {1.0: 7, MILLIMETRE: 4, DEGREE: 5, 0: 9}  # least number of decimals, by unit; 0: of a quaternion
+_LARGEST = 1e6
 Span = tuple[int, int]
 """The index of the first of some words, and the index after the last."""
 _CLOSING = {")": "(", "]": "[", "}": "{"}
 _DEEPEST = 100
+
+
+@dataclass(frozen=True)
+class ProgramSource:
+    """A file of a program: its bytes as text, each byte a character."""
+
+    path: str
+    text: str
+
+    @classmethod
+    def read(cls, path: Path | str, what: str) -> ProgramSource:
+        """Read a file; `what` names the expected content in messages.
+
+        Raises:
+            DataError: The file cannot be read, or is not text.
+        """
+        text = read_bytes(path, what, DataError).decode("latin-1")
+        odd = re.search(r"[\x00-\x08\x0e-\x1f]", text)
+        if odd is not None:
+            line = text.count("\n", 0, odd.start()) + 1
+            raise DataError(f"{path}, line {line}: is not text; is this {what}?")
+        return cls(str(path), text)
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        """Ends of lines."""
+        return [match.start() for match in re.finditer("\n", self.text)]
+
+    def line(self, at: int) -> int:
+        """Return the line of a place in the text, from 1."""
+        return bisect_left(self._ends, at) + 1
+
+    def location(self, at: int) -> str:
+        """Return file and line of a place in the text."""
+        return f"{self.path}, line {self.line(at)}"
+
+    def excerpt(self, start: int, end: int) -> str:
+        """Return a piece of the program for a message: one line of at most 60 characters."""
+        return " ".join(self.text[start : min(end, start + 1000)].split())[:60]
+
+    def numbers(self, spans: Iterable[tuple[int, int]], units: Sequence[float]) -> tuple[Number, ...]:
+        """Return the numbers at these spans of the text; a unit is its size in SI, or 0 in a quaternion.
+
+        Raises:
+            DataError: A number is larger than any machine reads.
+        """
+        cells = []
+        for (start, end), unit in zip(spans, units, strict=True):
+            text = self.text[start:end]
+            if abs(float(text)) > _LARGEST:
+                raise DataError(f"{self.location(start)}: '{text:.20}' is beyond what any machine reads; correct it")
+            written = len(re.split("[eE]", text)[0].partition(".")[2])
+            si = float(text) * (unit or 1.0)
+            cells.append(Number(self, start, end, si, unit or 1.0, max(_DECIMALS[unit], written)))
+        return tuple(cells)
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of a program.
+
+    Attributes:
+        source: The file.
+        start, end: Its span in the text.
+        value: Value [SI].
+        unit: Size of its unit in SI.
+        decimals: Number of decimals to write.
+        width: Number of characters to fill with blanks on the left; 0: as many as needed.
+    """
+
+    source: ProgramSource
+    start: int
+    end: int
+    value: float
+    unit: float
+    decimals: int
+    width: int = 0
+
+    def format(self, value: float) -> str:
+        """Return the text of a value [SI] in this place."""
+        text = f"{value / self.unit:.{self.decimals}f}"
+        text = text.replace("-", "") if float(text) == 0 else text
+        return text.rjust(self.width)
 
 
 class Token(NamedTuple):

@@ -14,13 +14,10 @@ from pathlib import Path
 from typing import ClassVar
 
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.frames import Frame, Frames, as_selected_frame
 from calib.programs.languages.harmless import URSCRIPT, URSCRIPT_COMPUTED
-from calib.programs.languages.orientations import pose_of
-from calib.programs.languages.reader import Data, Reached, Reader
-from calib.programs.languages.robot_program import DEGREE, LeftOutError, Number, ProgramSource, cells_at
-from calib.programs.languages.tokens import ProgramWords, Span, word_pattern
-from calib.programs.languages.visits import Place, Visit
+from calib.programs.languages.reader import Data, Frame, Frames, Reached, Reader, as_selected_frame
+from calib.programs.languages.robot_program import LeftOutError, Visit, pose_of
+from calib.programs.languages.tokens import DEGREE, Number, ProgramSource, ProgramWords, Span, word_pattern
 
 SUFFIXES = (".script", ".urscript")
 _WORDS = word_pattern(r"#[^\n]*|\$[^\n]*", r"[^\W\d]\w*", r"[=!<>]=|\*\*|[-+*/%^()\[\]{}=<>,.:;]")
@@ -40,28 +37,21 @@ The name of the second is also that of a setting, which is unknown while targets
 """
 
 
-@dataclass(frozen=True)
-class _Goal:
+@dataclass(frozen=True, kw_only=True)
+class _Goal(Data):
     """A target, its frame, and stated joints near it."""
 
-    data: Data
     frame: Frame = field(default_factory=Frame)
     near: tuple[float, ...] = ()
-
-    @property
-    def place(self) -> Place:
-        """File, and first word of the target's numbers."""
-        return self.data.place
 
 
 class UrscriptReader(Reader):
     """Reads a program; `TCP` in the given frames is the tool before the first `set_tcp`."""
 
     language, by_value, lost, danger = "URScript", True, ("tool",), "select another tool"
-    ROUTINES = "def thread sec"
+    ROUTINES, THREADS = "def thread sec", ("thread", "sec")
     WORDS: ClassVar = {
-        "begin": "def",
-        "begin_thread": "thread sec",
+        "begin": ROUTINES,
         "condition branch": "if switch",
         "begin_branch condition pass_over": "elif case",
         "begin_branch": "else default",
@@ -80,15 +70,11 @@ class UrscriptReader(Reader):
         start = {"tool": frames.get("TCP", Unknown(_NO_TOOL, whole=True)), **dict.fromkeys(_MOVED_ALONG.values())}
         super().__init__([code], start, frames, URSCRIPT | set(harmless))
 
-    def parameter(self, span: Span) -> tuple[list[str], bool]:
-        """Return the name of a parameter; it is passed by value."""
-        return [self.code.tokens[span[0]].text], False
-
     def close(self, at: int, behind: int) -> int:
         """End branches, a loop or a routine; all end with the same word."""
-        if not self.flow.blocks:
+        if not self.blocks:
             return self.finish(at, behind)
-        self.flow.close()
+        self.close_block()
         return behind
 
     def statement(self, at: int, stop: int) -> None:
@@ -124,14 +110,12 @@ class UrscriptReader(Reader):
             if not maybe:
                 self.flow.note_setting(name, None)
         elif name in URSCRIPT_COMPUTED:
-            where = self.sources[0].path, self.code.line(at)
-            self.uses.decide(self.names(*span), where[1])
+            path, line = self.sources[0].path, self.code.line(at)
+            self.uses.decide(self.names(*span), line)
             if name in _MOVED_ALONG:
-                why = f"is shifted at run time by '{name}' (line {where[1]})"
+                why = f"is shifted at run time by '{name}' (line {line})"
                 self.flow.note_setting(_MOVED_ALONG[name], Unknown(why))
-            self.visits.append(
-                Visit(where, name, None, why="moves the robot by an amount that it computes at run time")
-            )
+            self.visits.append(Visit(path, line, name, why="moves the robot by an amount that it computes at run time"))
         else:
             return name in self.harmless or self.code.is_mark(at - 1, ".")
         return True
@@ -147,7 +131,7 @@ class UrscriptReader(Reader):
                 return None
             spans.append(number)
             units.append(DEGREE if angle else 1.0)
-        return cells_at(self.sources[0], 0, spans, units) if len(spans) == 6 else None
+        return code.source.numbers(spans, units) if len(spans) == 6 else None
 
     def _is_pose(self, span: Span) -> bool:
         first, second = self.code.tokens[span[0] : span[0] + 2]
@@ -178,11 +162,9 @@ class UrscriptReader(Reader):
     def _move(self, word: str, span: Span, state: State | None) -> None:
         """Process the targets of a move: the named arguments in `_GOALS`, or the first arguments."""
         given = sorted(map(self._named_argument, self.code.split(*span)), key=lambda pair: pair[0] not in _GOALS)
-        for _, value in given[: _MOVES[word]]:
-            self.go(value, state, lambda value=value: self._goal(value), self._target)  # type: ignore[misc]
+        self.go([value for _, value in given[: _MOVES[word]]], state, self._goal, self._target)
 
-    def _target(self, goal: _Goal, state: State) -> Reached:
-        data = goal.data
+    def _target(self, data: _Goal, state: State) -> Reached:
         self.require_constant(data)
         for moved in (state[key] for key in _MOVED_ALONG.values()):
             if isinstance(moved, Unknown):
@@ -191,14 +173,14 @@ class UrscriptReader(Reader):
         if not self._is_pose(data.span):
             return self.target(data, cells)
         return self.target(
-            data, cells, "vector", goal.frame, as_selected_frame("its tool", state["tool"]), near=goal.near
+            data, cells, "vector", data.frame, as_selected_frame("its tool", state["tool"]), near=data.near
         )
 
     def _goal(self, span: Span) -> _Goal:
         """The target that an argument writes out, names, or gives in another frame; else `LeftOutError`."""
         data = self._constant(span)
         if data is not None:
-            return _Goal(data)
+            return _Goal(data.name, data.file, data.span)
         code, word = self.code, self.code.tokens[span[0]]
         inside = code.bracket_content(span[0] + 1, span[1], "(")
         if word.text not in ("get_inverse_kin", "pose_trans") or word.text in self.routines or inside is None:
@@ -220,6 +202,6 @@ class UrscriptReader(Reader):
 
     def _pose_goal(self, span: Span) -> _Goal:
         goal = self._goal(span)
-        if not self._is_pose(goal.data.span):
+        if not self._is_pose(goal.span):
             raise LeftOutError(_AT_RUN_TIME)
         return goal

@@ -51,11 +51,10 @@ from calib.core.rows.frames import CorrectionFrame, as_described, program_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.programs.reaching.expected_errors import ExpectedError, shown_errors
 from calib.programs.reaching.goals import Goals, goals_of_poses
-from calib.programs.reaching.inverse import BETWEEN_SIDES, problem, with_tilts
+from calib.programs.reaching.inverse import BETWEEN_SIDES, TOLERANCE, problem, with_tilts
 from calib.programs.reaching.program_task import KEEP, ProgramTask, is_reached, task_of_goals, task_of_joints
 from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 from calib.programs.reaching.redundancy import near_joints
-from calib.programs.reaching.search import TOLERANCE
 
 _JUMP = 0.1  # excess of a step between rows over the program's step [rad, or characteristic lengths]
 _CLOSINGS = 4  # closings of the loops for each row

@@ -80,10 +80,6 @@ class Goals:
             raise DataError(f"goals: stands of '{name}' must be one number [rad], or one for each of the goals")
         return np.broadcast_to(values, len(self.positions))
 
-    def stands_of(self, name: str) -> FloatArray:
-        """Return the values of a joint that inclinometers read, (n,) [rad]."""
-        return np.asarray(self.stands[name])
-
     def _keep(self, key: str, shape: tuple[int, ...]) -> None:
         """Replace a field by a checked copy."""
         if getattr(self, key) is None:
@@ -143,11 +139,8 @@ def read_goals(path: Path | str, robot: Robot) -> Goals:
     """
     table = read_table(path, robot.description.columns)
     target = _target(table, robot)
-    positions = _three(table, target, "xyz", "length")
-    turned, pointed = (
-        [axis for axis in axes if f"{target}_{axis}" in table.names]
-        for axes in (("rx", "ry", "rz"), ("ax", "ay", "az"))
-    )
+    positions = np.stack([table.column(f"{target}_{axis}", "length", gaps=True) for axis in "xyz"], axis=1)
+    turned, pointed = ([f"{kind}{axis}" for axis in "xyz" if f"{target}_{kind}{axis}" in table.names] for kind in "ra")
     if turned and pointed:
         raise DataError(
             f"{path}: columns {target}_{turned[0]} and {target}_{pointed[0]} exclude each other; give an"
@@ -155,7 +148,7 @@ def read_goals(path: Path | str, robot: Robot) -> Goals:
         )
     rotations = directions = None
     if turned:
-        angles = _three(table, target, ("rx", "ry", "rz"), "angle")
+        angles = np.stack([table.column(f"{target}_r{axis}", "angle") for axis in "xyz"], axis=1)
         rotations = np.array([pin.rpy.rpyToMatrix(*angle) for angle in angles])
     if pointed:
         directions = np.stack([_pure_numbers(table, f"{target}_{axis}") for axis in ("ax", "ay", "az")], axis=1)
@@ -197,12 +190,6 @@ def _target(table: Table, robot: Robot) -> str:
         expected = " or ".join(f"{target}_x, {target}_y, {target}_z" for target in robot.target_names)
         raise DataError(f"{table.path}: no position columns; expected {expected} (found {', '.join(table.names)})")
     return named[0]
-
-
-def _three(table: Table, target: str, axes: str | tuple[str, ...], dimension: str) -> FloatArray:
-    kind = "length" if dimension == "length" else "angle"
-    columns = [table.column(f"{target}_{axis}", kind, gaps=kind == "length") for axis in axes]  # type: ignore[arg-type]
-    return np.stack(columns, axis=1)
 
 
 def _pure_numbers(table: Table, name: str) -> FloatArray:

@@ -17,9 +17,8 @@ from calib.core.robots.closure import actuated_jacobian
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.robot import Robot
 from calib.programs.reaching.goals import Goals
-from calib.programs.reaching.inverse import problem, solve
+from calib.programs.reaching.inverse import TOLERANCE, problem, solve
 from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
-from calib.programs.reaching.search import TOLERANCE
 
 KEEP = ("pose", "axis", "position")
 """Part of the program's poses that is kept: the full pose, position and z axis of the target, or its position."""

@@ -18,7 +18,7 @@ in arrays.
 
 Tilts of links (`calib.core.robots.mechanism`) and uncommanded joints keep their values from the start.
 
-When it fails. Local minima of |e| exist; `calib.programs.reaching.search` starts from several places. At a singular
+When it fails. Local minima of |e| exist; `calib.programs.reaching.inverse` starts from several places. At a singular
 pose of the robot convergence is slow, and the joint values are only as sharp as the pose determines them.
 
 Reference: levenberg1944, marquardt1963.
@@ -131,7 +131,7 @@ class Reach:
         """Return commands (n, n_actuated) for the goals `index`, with the values of uncommanded joints."""
         commands = commands.copy()
         for name in self.goals.stands:
-            commands[:, self.mechanism.actuated.index(name)] = self.goals.stands_of(name)[index]
+            commands[:, self.mechanism.actuated.index(name)] = np.asarray(self.goals.stands[name])[index]
         return commands
 
     def as_given(self, index: IntArray, at: GoalConfigurations) -> GoalConfigurations:

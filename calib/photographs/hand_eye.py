@@ -55,11 +55,11 @@ class HandEye(ReadOnlyArrays):
     @property
     def lens_found(self) -> bool:
         """Whether intrinsics were fitted."""
-        return bool(self.fitted.free)
+        return bool(self.fitted.unknowns.free)
 
     def rms_by_image(self, errors: FloatArray) -> FloatArray:
         """Return the root mean square of errors (m, 2) of each image, (n,)."""
-        return np.sqrt(self.scene.sums(np.sum(errors**2, axis=1)) / self.scene.counts)
+        return self.scene.rms_by_image(errors)
 
     @property
     def distance(self) -> float:

@@ -148,14 +148,11 @@ def report(result: HandEye, frames: Frames) -> str:
     else:
         lines.append("Lens: as given")
     if result.lens_found:
-        numbers = zip(fitted.free, np.sqrt(np.diag(fitted.covariance)[12 : 12 + len(fitted.free)]), strict=True)
-        lines.append(
-            "  "
-            + ", ".join(
-                f"{NAMES[k]} {fitted.placed.intrinsics[k]:.{2 if k < 4 else 4}f} ± {std:.{2 if k < 4 else 4}f}"
-                for k, std in numbers
-            )
-        )
+        numbers = []
+        for k, std in zip(fitted.unknowns.free, np.sqrt(np.diag(fitted.covariance)[fitted.unknowns.lens]), strict=True):
+            digits = 2 if k < 4 else 4
+            numbers.append(f"{NAMES[k]} {fitted.placed.intrinsics[k]:.{digits}f} ± {std:.{digits}f}")
+        lines.append(f"  {', '.join(numbers)}")
     lines += [
         f"{title}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
         f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm"
@@ -202,7 +199,7 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
         "camera": _place(above[0], frames.camera, fitted.placed.camera, half["camera"]),
         "board": _place(above[1], frames.board, fitted.placed.board, half["board"]),
         "intrinsics": dict(zip(NAMES, map(float, fitted.placed.intrinsics), strict=True))
-        | {"found": [NAMES[k] for k in fitted.free], "image": list(scene.size)},
+        | {"found": [NAMES[k] for k in fitted.unknowns.free], "image": list(scene.size)},
         "pixels": {"rms": rms(result.pixels), "left_out": rms(result.left_out.pixels),
                    "camera_alone": rms(result.residuals_without_robot),
                    "left_out_with_given_intrinsics": result.rms_given},

@@ -100,7 +100,7 @@ def _start(scene: BoardScene, intrinsics: FloatArray, views: FloatArray, usable:
 
 def image_rms(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
     """Return the root mean square residual of each image, (n,) [px]; large for a board behind the camera."""
-    errors = np.sum(residuals(scene, placed) ** 2, axis=1)
-    behind = points_in_camera(scene, placed)[0][:, 2] <= 0
-    errors = np.where(behind, np.maximum(errors, float(max(scene.size)) ** 2), errors)
-    return np.sqrt(scene.sums(errors) / np.maximum(scene.counts, 1))
+    errors, behind = residuals(scene, placed), points_in_camera(scene, placed)[0][:, 2] <= 0
+    lengths = np.linalg.norm(errors, axis=1)
+    lengths[behind] = np.maximum(lengths[behind], max(scene.size))
+    return scene.rms_by_image(lengths[:, None])

@@ -111,7 +111,7 @@ def test_choosing_everything_is_certainly_best():
 
 def test_many_candidates_are_certified_by_few_unclear_ones():
     problem = made_up(7, n=3000, d=8)
-    space = Spacing(np.zeros((3000, 3)), 0.0, np.ones(3000, dtype=bool))
+    space = Spacing.free(np.ones(3000, dtype=bool))
     done = swap(exchange(problem, "O1", uniform_start(np.arange(3000), 60), space), space)
     relaxed = relax(problem, "O1", done.chosen, space.usable)
     assert relaxed.efficiency(log_phi(problem, "O1", problem.information_of(done.chosen.astype(float)))) > 0.999

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.planning.exchange import Exchange
-from calib.planning.selection_bound import CERTIFIED, Relaxation, slopes
+from calib.planning.selection_bound import CERTIFIED, slopes
 from calib.planning.selection_setting import SelectionSetting
 
 SCREENED = 20_000
@@ -65,54 +65,23 @@ class CandidateSubset:
 
 def first_candidates(setting: SelectionSetting, starts: IntArray) -> CandidateSubset:
     """Return the first candidates to search: the best at equal weights, and the starts (n,)."""
-    if not _is_screened(setting):
-        return CandidateSubset(setting, np.arange(len(setting.problem)), setting)
-    problem = setting.problem
     # without priors, K of all candidates is the identity
-    alike = problem.before + setting.request.count / len(problem) * np.eye(len(problem.strengths))
-    return _narrow(setting, slopes(problem, setting.request.index, alike), starts)
+    alike = setting.request.count / len(setting.problem) * np.eye(len(setting.problem.strengths))
+    return best_candidates(setting, setting.problem.before + alike, starts)
 
 
-def candidates_after_relaxation(
-    setting: SelectionSetting, relaxation: Relaxation, chosen: BoolArray
-) -> CandidateSubset:
-    """Return the candidates to search after the relaxation and a choice (n_candidates,)."""
-    if not _is_screened(setting):
-        return CandidateSubset(setting, np.arange(len(setting.problem)), setting)
-    problem = setting.problem
-    slope = slopes(problem, setting.request.index, problem.information_of(relaxation.weights))
-    return _narrow(setting, slope, np.flatnonzero(chosen | (relaxation.weights > 0)))
-
-
-def _is_screened(setting: SelectionSetting) -> bool:
-    request = setting.request
-    return request.index in CERTIFIED and request.minimum_distance == 0 and len(setting.problem) > SCREENED
-
-
-def _narrow(setting: SelectionSetting, slope: FloatArray, kept: IntArray) -> CandidateSubset:
-    """The candidates with the largest slope (n_candidates,), and the kept ones (n,)."""
-    counts = setting.counts
-    ranked = np.where(setting.space.usable, slope, -np.inf)
+def best_candidates(setting: SelectionSetting, gathered: FloatArray, kept: IntArray) -> CandidateSubset:
+    """Return the candidates with the largest slopes at K (r, r), and the kept ones (n,); all if not screened."""
+    request, problem, counts = setting.request, setting.problem, setting.counts
+    if not (request.index in CERTIFIED and request.minimum_distance == 0 and len(problem) > SCREENED):
+        return CandidateSubset(setting, np.arange(len(problem)), setting)
+    ranked = np.where(setting.space.usable, slopes(problem, request.index, gathered), -np.inf)
     best = setting.largest(ranked, np.maximum(_SEARCHED // len(counts), _FOR_EACH * counts))
     index = np.union1d(np.concatenate(best), kept).astype(np.intp)
-    problem, pairs, space = setting.problem, setting.pairs, setting.space
     few = replace(
         setting,
-        problem=replace(problem, rows=problem.rows[index]),
-        pairs=replace(
-            pairs,
-            pose=pairs.pose[index],
-            group=pairs.group[index],
-            rows=pairs.rows[index],
-            possible=pairs.possible[index],
-            n_read=pairs.n_read[index],
-        ),
-        space=replace(
-            space,
-            points=space.points[index],
-            usable=space.usable[index],
-            pose=None if space.pose is None else space.pose[index],
-            kind=None if space.kind is None else space.kind[index],
-        ),
+        problem=replace(setting.problem, rows=setting.problem.rows[index]),
+        pairs=setting.pairs.select(index),
+        space=setting.space.select(index),
     )
     return CandidateSubset(setting, index, few)

@@ -34,7 +34,7 @@ from calib.core.rows.candidates import WHITENED
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import order_in_blocks, travel
-from calib.planning.screening import CandidateSubset, candidates_after_relaxation, first_candidates
+from calib.planning.screening import CandidateSubset, best_candidates, first_candidates
 from calib.planning.selection_bound import CERTIFIED, log_phi, relax
 from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_result import Run, Selection
@@ -213,7 +213,8 @@ def _certify(
     problem, index, usable = setting.problem, setting.request.index, setting.space.usable
     relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
     heaviest = np.concatenate(setting.largest(np.where(usable, relaxation.weights, -1.0), setting.counts))
-    searched = candidates_after_relaxation(setting, relaxation, best.chosen)
+    weighted = np.flatnonzero(best.chosen | (relaxation.weights > 0))
+    searched = best_candidates(setting, problem.information_of(relaxation.weights), weighted)
     starts = {"relaxed": np.sort(heaviest)}
     if searched.is_part:
         starts["best"] = np.flatnonzero(best.chosen)

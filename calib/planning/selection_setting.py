@@ -29,7 +29,7 @@ from calib.core.rows.candidates import (
 from calib.core.rows.unknowns import Unknowns
 from calib.planning.exchange import Spacing, uniform_start
 from calib.planning.instrument_choice import Groups, PoseGroupPairs, already_read, pairs_of, require_planned_touches
-from calib.planning.selection_bound import CERTIFIED, kinds_of, largest
+from calib.planning.selection_bound import CERTIFIED, largest
 from calib.planning.selection_problem import TASK, SelectionProblem, build_problem
 from calib.planning.selection_scores import CHOICES
 
@@ -80,15 +80,12 @@ class SelectionSetting:
 
     def uniform(self) -> IntArray:
         """Return candidates evenly spread over their order, the requested number of each kind, (count,)."""
-        usable = np.flatnonzero(self.space.usable)
-        return np.concatenate([uniform_start(members, count) for members, count in self.candidates_by_kind(usable)])
+        return np.concatenate([uniform_start(members, count) for members, count in self._usable_by_kind()])
 
     def random(self, rng: np.random.Generator) -> IntArray:
         """Return candidates at random, the requested number of each kind, ascending, (count,)."""
-        usable = np.flatnonzero(self.space.usable)
-        return np.sort(
-            np.concatenate([rng.choice(members, n, replace=False) for members, n in self.candidates_by_kind(usable)])
-        )
+        chosen = [rng.choice(members, count, replace=False) for members, count in self._usable_by_kind()]
+        return np.sort(np.concatenate(chosen))
 
     @property
     def counts(self) -> IntArray:
@@ -97,14 +94,12 @@ class SelectionSetting:
 
     def largest(self, values: FloatArray | IntArray, counts: IntArray) -> list[IntArray]:
         """Return for each kind the `counts` (n_kinds,) candidates with the largest values (n_candidates,)."""
-        return largest(values, kinds_of(self.space.kind, len(self.problem)), counts)
+        return largest(values, self.space.kind, counts)
 
-    def candidates_by_kind(self, candidates: IntArray) -> list[tuple[IntArray, int]]:
-        """Return for each kind its members among the candidates (n,), and the requested number."""
-        counts = self.request.groups.counts
-        if counts is None:
-            return [(candidates, self.request.count)]
-        return [(candidates[self.pairs.group[candidates] == g], count) for g, count in enumerate(counts)]
+    def _usable_by_kind(self) -> list[tuple[IntArray, int]]:
+        """The usable candidates of each kind, (n,), and the requested number of them."""
+        usable = np.flatnonzero(self.space.usable)
+        return [(usable[self.space.kind[usable] == kind], int(count)) for kind, count in enumerate(self.counts)]
 
 
 def prepare(
@@ -174,8 +169,8 @@ def prepare(
         pairs.rows, done_rows, Unknowns.chosen_by_poses(robot).prior.rows, n_before, task_rows, n_task
     )
     _require_answer(problem, request)
-    kind = None if request.groups.counts is None else pairs.group
-    space = Spacing(pose_points[pairs.pose], request.minimum_distance, usable, pairs.pose, kind)
+    kind = np.broadcast_to(np.intp(0), len(usable)) if request.groups.counts is None else pairs.group
+    space = Spacing(usable, kind, pairs.pose, pose_points[pairs.pose], request.minimum_distance)
     return SelectionSetting(robot, request, poses, assembled, pairs, problem, space, noise, assumed, again)
 
 

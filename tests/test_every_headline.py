@@ -12,7 +12,7 @@ from headline_situations import Commands, derivative, joints, measured, on_one_l
 
 import calib
 from calib.core.data.in_memory import as_poses
-from calib.planning.next_steps import advice_after_check
+from calib.planning.assessment_text import advice_after_check
 
 
 @pytest.fixture(scope="module")

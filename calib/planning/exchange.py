@@ -55,8 +55,8 @@ class Spacing:
 
     def select(self, index: IntArray) -> Spacing:
         """Return the rules for some candidates, (n,)."""
-        parts = (part[index] for part in (self.usable, self.kind, self.pose, self.points))
-        return Spacing(*parts, self.distance)
+        usable, kind, pose, points = self.usable[index], self.kind[index], self.pose[index], self.points[index]
+        return Spacing(usable, kind, pose, points, self.distance)
 
     def is_same_kind(self, candidate: int) -> BoolArray:
         """Return the mask of the candidates of the same kind, (n_candidates,)."""

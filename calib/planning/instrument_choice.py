@@ -97,10 +97,6 @@ class PoseGroupPairs:
     n_read: IntArray
     possible: BoolArray
 
-    def select(self, index: IntArray) -> PoseGroupPairs:
-        """Return some of the candidates, (n,)."""
-        return PoseGroupPairs(*(part[index] for part in vars(self).values()))
-
 
 def pairs_of(groups: Groups, poses: PoseRows) -> PoseGroupPairs:
     """Return the candidates: all pairs of the n poses and the groups."""

@@ -19,8 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.planning.exchange import Exchange
+from calib.planning.exchange import Exchange, Spacing
 from calib.planning.selection_bound import CERTIFIED, slopes
+from calib.planning.selection_problem import SelectionProblem
 from calib.planning.selection_setting import SelectionSetting
 
 SCREENED = 20_000
@@ -31,33 +32,23 @@ _FOR_EACH = 8  # searched candidates per requested candidate, if that is more
 
 @dataclass(frozen=True, eq=False)
 class CandidateSubset:
-    """The candidates that exchanges search.
+    """The candidates that exchanges search: their indices, ascending, (n,), and the problem and rules of these alone.
 
-    Attributes:
-        all_candidates: The setting with all candidates.
-        index: Searched candidates, ascending, (n,).
-        setting: The setting with these alone.
+    `n_all` is the number of all candidates.
     """
 
-    all_candidates: SelectionSetting
     index: IntArray
-    setting: SelectionSetting
-
-    @property
-    def is_part(self) -> bool:
-        """Whether some candidates are left out."""
-        return self.setting is not self.all_candidates
+    problem: SelectionProblem
+    space: Spacing
+    n_all: int
 
     def numbers_of(self, candidates: IntArray) -> IntArray:
         """Return the indices in this subset of candidates (n,), all of which must be in it."""
-        result: IntArray = np.searchsorted(self.index, candidates)
-        return result
+        return np.asarray(np.searchsorted(self.index, candidates))
 
     def with_all_numbers(self, result: Exchange) -> Exchange:
         """Return an exchange in this subset with the indices of all candidates."""
-        if not self.is_part:
-            return result
-        chosen = np.zeros(len(self.all_candidates.problem), dtype=bool)
+        chosen = np.zeros(self.n_all, dtype=bool)
         chosen[self.index[result.chosen]] = True
         history = tuple((a, b) if a < 0 else (int(self.index[a]), int(self.index[b])) for a, b in result.history)
         return replace(result, chosen=chosen, history=history)
@@ -66,22 +57,17 @@ class CandidateSubset:
 def first_candidates(setting: SelectionSetting, starts: IntArray) -> CandidateSubset:
     """Return the first candidates to search: the best at equal weights, and the starts (n,)."""
     # without priors, K of all candidates is the identity
-    alike = setting.request.count / len(setting.problem) * np.eye(len(setting.problem.strengths))
+    alike = setting.count / len(setting.problem) * np.eye(len(setting.problem.strengths))
     return best_candidates(setting, setting.problem.before + alike, starts)
 
 
 def best_candidates(setting: SelectionSetting, gathered: FloatArray, kept: IntArray) -> CandidateSubset:
     """Return the candidates with the largest slopes at K (r, r), and the kept ones (n,); all if not screened."""
-    request, problem, counts = setting.request, setting.problem, setting.counts
-    if not (request.index in CERTIFIED and request.minimum_distance == 0 and len(problem) > SCREENED):
-        return CandidateSubset(setting, np.arange(len(problem)), setting)
-    ranked = np.where(setting.space.usable, slopes(problem, request.index, gathered), -np.inf)
+    problem, space, counts = setting.problem, setting.space, setting.counts
+    n_all = len(problem)
+    if setting.index not in CERTIFIED or space.distance > 0 or n_all <= SCREENED:
+        return CandidateSubset(np.arange(n_all), problem, space, n_all)
+    ranked = np.where(space.usable, slopes(problem, setting.index, gathered), -np.inf)
     best = setting.largest(ranked, np.maximum(_SEARCHED // len(counts), _FOR_EACH * counts))
     index = np.union1d(np.concatenate(best), kept).astype(np.intp)
-    few = replace(
-        setting,
-        problem=replace(setting.problem, rows=setting.problem.rows[index]),
-        pairs=setting.pairs.select(index),
-        space=setting.space.select(index),
-    )
-    return CandidateSubset(setting, index, few)
+    return CandidateSubset(index, replace(problem, rows=problem.rows[index]), space.select(index), n_all)

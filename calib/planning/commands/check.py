@@ -27,8 +27,7 @@ from calib.core.robots.pose_check import check_poses
 from calib.core.rows.observed import touches_without_target
 from calib.pictures import figures
 from calib.planning.assessment import check
-from calib.planning.assessment_text import text_report, to_dict
-from calib.planning.next_steps import advice_after_check
+from calib.planning.assessment_text import advice_after_check, text_report, to_dict
 from calib.planning.pose_sampling import sample
 
 

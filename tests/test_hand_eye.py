@@ -10,6 +10,7 @@ from camera_scenes import BOARD, CAMERA, INTRINSICS, board_points, pixels_of, po
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from calib.core.base.contributions import contributions_to
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
 from calib.photographs.camera_alone import intrinsics_at_first, point_errors
@@ -39,6 +40,13 @@ def good(clean):
 
 def test_good_photographs_show_no_mistake(good):
     assert (codes(good), judge(good).grade, good.lens_found) == ([], "PASS", False)
+
+
+def test_intervals_and_limit_name_what_they_contain(good):
+    assert all(own <= contributions_to(number) for number, own in good.contains.items())
+    named = content(good, Frames())["contains"]
+    assert named["position"] == ["noise and priors", "scatter of poses", "unexplained joint errors"]
+    assert named["claim"] == ["poses left out"]
 
 
 @pytest.mark.parametrize("mount", ["tool", "base"])

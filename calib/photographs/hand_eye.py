@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.contributions import Contribution, Contributions, Uncertainty
 from calib.photographs.estimation import HandEyeEstimate, LeftOutImages, rms
 from calib.photographs.images_off import OffImage, OffPoint
 from calib.photographs.mistakes import Mistake
@@ -41,6 +42,12 @@ class HandEye(ReadOnlyArrays):
     intrinsics_given: FloatArray | None
     rms_given: float
     weighed: bool
+
+    @property
+    def contains(self) -> dict[Uncertainty, Contributions]:
+        """Contributions to the intervals of camera and board, and to `limit`."""
+        of_poses = frozenset({Contribution.NOISE, Contribution.SCATTER, Contribution.JOINT_ERRORS})
+        return {Uncertainty.POSITION: of_poses, Uncertainty.CLAIM: frozenset({Contribution.LEFT_OUT})}
 
     @property
     def pixels(self) -> FloatArray:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
+from calib.core.base.contributions import Contributions, Uncertainty, names_of
 from calib.core.base.words import as_data, count_noun, listing
 from calib.core.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
 from calib.photographs.estimation import LITTLE_TURN, rms, turning
@@ -48,6 +50,25 @@ class HandEyeJudgement:
     reasons: tuple[str, ...]
     advice: tuple[str, ...]
 
+    @staticmethod
+    def from_reasons(reasons: Sequence[tuple[str, str]], advice: Sequence[str]) -> HandEyeJudgement:
+        """Return the judgement by reasons, each with its grade; the worst grade counts."""
+        ordered = sorted(reasons, key=lambda reason: ("FAIL", "CHECK", "PASS").index(reason[0]))
+        grade = ordered[0][0] if ordered else "PASS"
+        return HandEyeJudgement(grade, tuple(text for _, text in ordered), tuple(dict.fromkeys(advice)))
+
+    def lines(self) -> list[str]:
+        """Return the grade and the reasons in words."""
+        heads = [self.grade, *["     "] * (len(self.reasons) - 1)][: len(self.reasons)]
+        return [
+            f"Verdict: {self.grade}",
+            *(f"  {head}: {text}" for head, text in zip(heads, self.reasons, strict=True)),
+        ]
+
+    def content(self) -> dict[str, object]:
+        """Return the judgement as data."""
+        return {"verdict": self.grade, "reasons": list(self.reasons), "next": list(self.advice)}
+
 
 def judge(result: HandEye) -> HandEyeJudgement:
     """Return the judgement of a calibration.
@@ -55,9 +76,8 @@ def judge(result: HandEye) -> HandEyeJudgement:
     FAIL: a mistake that spoils everything. CHECK: another mistake, outlying images, too few images, or too little
     rotation. PASS: none of these, so that the error of new images is as stated.
     """
-    scene, reasons, advice = result.scene, [], []
-    failed = [mistake.text for mistake in result.mistakes if mistake.whole]
-    reasons += [mistake.text for mistake in result.mistakes if not mistake.whole]
+    scene, advice = result.scene, list[str]()
+    reasons = [mistake.text for mistake in result.mistakes if not mistake.whole]
     for image in result.outlying_images:
         reasons.append(
             f"image {image.name} is off by {image.rms:.0f} px, as if the tool were {_MM * image.shift:.1f} mm and"
@@ -98,10 +118,16 @@ def judge(result: HandEye) -> HandEyeJudgement:
             f"errors of images left out are {left / used:.1f} times those of images used: there are too few images"
         )
         advice.append("take more images")
-    grade = "FAIL" if failed else "CHECK" if reasons else "PASS"
-    if grade == "PASS" and not advice:
+    graded = [("FAIL", mistake.text) for mistake in result.mistakes if mistake.whole]
+    graded += [("CHECK", text) for text in reasons]
+    if not graded and not advice:
         advice.append("no more photographs are needed for poses like these; for work elsewhere, take some there")
-    return HandEyeJudgement(grade, tuple(failed + reasons), tuple(dict.fromkeys(advice)))
+    return HandEyeJudgement.from_reasons(graded, advice)
+
+
+def contents(contains: Mapping[Uncertainty, Contributions]) -> dict[str, list[str]]:
+    """Return the names of the contributions to each number, as `result.json` of a fit has them."""
+    return {number.name.lower(): names_of(own) for number, own in contains.items()}
 
 
 def transform(pose: FloatArray) -> dict[str, float]:
@@ -116,8 +142,7 @@ def report(result: HandEye, frames: Frames) -> str:
     scene, fitted = result.scene, result.fitted
     judgement, half = judge(result), result.uncertainty()
     lines = [f"Hand-eye calibration of {count_noun(len(scene), 'image')}: camera {SIDES[scene.mount]}"]
-    lines.append(f"Verdict: {judgement.grade}")
-    lines += [f"  {judgement.grade if k == 0 else '     '}: {text}" for k, text in enumerate(judgement.reasons)]
+    lines += judgement.lines()
     if judgement.grade != "FAIL":
         lines.append(
             f"Points of new images like these are {_MM * rms(result.left_out.board):.3f} mm off on the board,"
@@ -185,16 +210,15 @@ def _shares(result: HandEye, usable: bool) -> str:
 
 def content(result: HandEye, frames: Frames) -> dict[str, object]:
     """Return a calibration as data [m, rad, px]."""
-    scene, fitted, judgement, half = result.scene, result.fitted, judge(result), result.uncertainty()
+    scene, fitted, half = result.scene, result.fitted, result.uncertainty()
     above = frames.parents(scene.mount)
     images = zip(
         scene.names, scene.counts, result.rms_by_image(result.pixels), result.rms_by_image(result.left_out.pixels),
         result.rms_by_image(result.board), result.rms_by_image(result.left_out.board), strict=True,
     )  # fmt: skip
     return {
-        "verdict": judgement.grade,
-        "reasons": list(judgement.reasons),
-        "next": list(judgement.advice),
+        **judge(result).content(),
+        "contains": contents(result.contains),
         "camera_on": scene.mount,
         "camera": _place(above[0], frames.camera, fitted.placed.camera, half["camera"]),
         "board": _place(above[1], frames.board, fitted.placed.board, half["board"]),

@@ -29,7 +29,17 @@ from calib.photographs.camera_alone import camera_alone
 from calib.photographs.estimation import HandEyeEstimate, estimate, predict_left_out_images, rms, solve
 from calib.photographs.lens_choice import free_lens, unlikely
 from calib.photographs.other_readings import other_readings
-from calib.photographs.scene import SIDES, BoardScene, HandEyePlacement, ImageSums, Mount, linearise, residuals, rows
+from calib.photographs.scene import (
+    OTHER,
+    SIDES,
+    BoardScene,
+    HandEyePlacement,
+    ImageSums,
+    Mount,
+    linearise,
+    residuals,
+    rows,
+)
 from calib.photographs.shared_errors import ErrorSizes, deviance, find_noise, normal_equations
 from calib.photographs.starts import Start, image_rms, start
 
@@ -100,11 +110,9 @@ def find_mistakes(
         moved = _check_move(used, fitted)
         result = result if moved is None else [replace(moved, whole=True)]
     if not any(mistake.whole for mistake in lens + result):
-        result += [
-            mistake for mistake in (_square_size(used, fitted), _check_move(used, fitted)) if mistake is not None
-        ]
         exchanged = _check_exchange(fitted.placed, used.mount) if len(mounts) > 1 else None
-        result += [] if exchanged is None else [exchanged]
+        likely = (_square_size(used, fitted), _check_move(used, fitted), exchanged)
+        result += [mistake for mistake in likely if mistake is not None]
     return tuple(sorted(result + lens, key=lambda mistake: not mistake.whole))
 
 
@@ -158,18 +166,14 @@ def _other_size(scene: BoardScene, fitted: HandEyeEstimate) -> tuple[float, str,
 
 def _check_exchange(placed: HandEyePlacement, mount: Mount) -> Mistake | None:
     """The mistake of inverted poses with the other mount, if camera and board are where it would put them."""
-    far = {
-        thing: float(np.linalg.norm(pose[:3, 3]))
-        for thing, pose in (("camera", placed.camera), ("board", placed.board))
-    }
+    far = {name: float(np.linalg.norm(getattr(placed, name)[:3, 3])) for name in ("camera", "board")}
     on_tool, on_base = ("camera", "board") if mount == "tool" else ("board", "camera")
     if not far[on_tool] > _EXCHANGED * far[on_base]:
         return None
-    other: Mount = "base" if mount == "tool" else "tool"
     return Mistake(
         "exchanged",
         f"the {on_tool} would be {far[on_tool]:.2f} m from the tool, and the {on_base} {far[on_base]:.2f} m from the"
-        f" base: if the camera is {SIDES[other]}, the poses are inverted (the base in the tool); if it is"
+        f" base: if the camera is {SIDES[OTHER[mount]]}, the poses are inverted (the base in the tool); if it is"
         f" {SIDES[mount]}, say so: --camera-on {mount}",
     )
 

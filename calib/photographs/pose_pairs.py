@@ -28,6 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.contributions import Contributions, Uncertainty
 from calib.core.base.errors import DataError
 from calib.core.base.sections import COMPONENTS
 from calib.core.calibrating.calibrate import calibrate
@@ -46,7 +47,7 @@ from calib.core.robots.urdf.text import parse_urdf
 from calib.core.rows.determination import determination
 from calib.core.rows.observed import observe
 from calib.core.rows.unknowns import Unknowns
-from calib.photographs.scene import SIDES, Mount
+from calib.photographs.scene import OTHER, SIDES, Mount
 
 LEAST_PAIRS = 3
 _MUCH_BETTER = 3.0  # inverted poses are the right ones if residuals are more than this many times smaller with them
@@ -89,6 +90,7 @@ class PosePairs(ReadOnlyArrays):
         errors: Predicted minus measured: position and rotation of the marker in the camera, (n, 6) [m, rad].
         reasons: Reasons against the result, each with its grade.
         distance: Mean distance from camera to marker [m].
+        contains: Contributions to the intervals.
     """
 
     names: tuple[str, ...]
@@ -99,6 +101,7 @@ class PosePairs(ReadOnlyArrays):
     errors: FloatArray
     reasons: tuple[tuple[str, str], ...]
     distance: float
+    contains: dict[Uncertainty, Contributions]
 
     @property
     def is_determined(self) -> bool:
@@ -135,7 +138,7 @@ def solve_pairs(
         )
     if len(left) > 1 and max(left.values()) < _MUCH_BETTER * left[mount]:
         reasons.append(
-            ("CHECK", f"a camera {SIDES[_other_mount(mount)]} fits almost as well; say where it is with --camera-on")
+            ("CHECK", f"a camera {SIDES[OTHER[mount]]} fits almost as well; say where it is with --camera-on")
         )
     robot = _robot(tool, seen, mount)
     joints = np.hstack([tool[:, :3, 3], [_angles(pose) for pose in tool[:, :3, :3]]])
@@ -168,11 +171,8 @@ def solve_pairs(
         np.asarray(fitted.identification.after["camera"]),
         tuple(reasons),
         float(np.mean(np.linalg.norm(seen[:, :3, 3], axis=1))),
+        {Uncertainty.POSITION: fitted.covariance.contains},
     )
-
-
-def _other_mount(mount: Mount) -> Mount:
-    return "base" if mount == "tool" else "tool"
 
 
 def _links(tool: FloatArray, mount: Mount) -> FloatArray:
@@ -232,23 +232,21 @@ def _change_in_words(change: FloatArray) -> str:
 
 def _found_pose(fitted: JudgedFit, null: FloatArray, place: str) -> tuple[FoundPose, FloatArray]:
     """Pose of `place` with its intervals, and its motion by unseen changes, (6, k)."""
-    pose = _place(fitted.robot, place)
-    steps = []
-    for k in range(len(fitted.robot.parameters)):
-        values = [fitted.robot.values.copy() for _ in range(2)]
-        values[0][k] -= _STEP
-        values[1][k] += _STEP
-        ends = [_place(fitted.robot.with_parameters(each), place) for each in values]
-        turned = rotation_vectors(np.array([pose[:3, :3].T @ end[:3, :3] for end in ends]))
-        steps.append(np.hstack([ends[1][:3, 3] - ends[0][:3, 3], turned[1] - turned[0]]) / (2 * _STEP))
-    by = np.array(steps).T  # (6, n_parameters)
-    free = fitted.robot.is_free
+    robot, pose = fitted.robot, _place(fitted.robot, place)
+
+    def moved(step: FloatArray) -> FloatArray:
+        after = _place(robot.with_parameters(robot.values + step), place)
+        return np.append(after[:3, 3], rotation_vectors(pose[None, :3, :3].transpose(0, 2, 1) @ after[None, :3, :3]))
+
+    steps = _STEP * np.eye(len(robot.parameters))
+    by = np.stack([moved(step) - moved(-step) for step in steps], axis=1) / (2 * _STEP)  # (6, n_parameters)
+    free = robot.is_free
     spread = by[:, free] @ np.asarray(fitted.covariance) @ by[:, free].T
     known = [fitted.parameters[name] for name in fitted.free_names]
     factor = max((float(each.half95_si) / each.std_si for each in known), default=float("nan"))
     half = factor * np.sqrt(np.diag(spread))
-    moved = by @ null
-    return FoundPose(pose, half, np.any(np.abs(moved) > _OPEN * np.max(np.abs(null), axis=0), axis=1)), moved
+    unseen = by @ null
+    return FoundPose(pose, half, np.any(np.abs(unseen) > _OPEN * np.max(np.abs(null), axis=0), axis=1)), unseen
 
 
 def _place(robot: Robot, place: str) -> FloatArray:

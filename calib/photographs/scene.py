@@ -35,6 +35,7 @@ from calib.photographs.detection import DetectedImage
 
 Mount = Literal["tool", "base"]
 SIDES: dict[Mount, str] = {"tool": "on the tool", "base": "beside the robot"}
+OTHER: dict[Mount, Mount] = {"tool": "base", "base": "tool"}
 
 
 @dataclass(frozen=True, eq=False)

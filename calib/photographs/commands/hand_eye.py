@@ -13,6 +13,7 @@ import click
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
+from calib.core.base.contributions import names_of
 from calib.core.base.errors import ComputationError, DataError, InputError, nearest
 from calib.core.base.files import write_folder
 from calib.core.base.words import as_data, listing
@@ -299,6 +300,7 @@ def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedIma
     for name, image in off.items():
         pictures.append(Picture(images[name], small.get(name, b""), f"left out: {image.rms:.1f} px off", True))
     text = f"Arrows: from where points were found to where they should be, {factor:g} times as long"
+    text += "".join(f"\n{number.value}: counts {', '.join(names_of(own))}" for number, own in result.contains.items())
     numbers = [*range(len(scene)), *[-1] * len(off)]  # outlying images belong to no mark of a plot
     figures = [(number, figure(picture)) for number, picture in zip(numbers, pictures, strict=True)]
     return installed("--html").answer(result, "Hand-eye calibration", f"{report(result, frames)}\n{text}", figures)

@@ -20,7 +20,6 @@ Reference: jcgm101.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -136,11 +135,16 @@ def study(
     chunks = [range(start, min(start + _CHUNK, draws)) for start in range(0, draws, _CHUNK)]
     done, failures = list[Draws](), list[str]()
     with Workers(executor, len(chunks)) as workers:
-        source = (
-            simulated_draws(robot, poses, truth, sigma, noise)
-            if not resample
-            else _measurements_to_resample(poses, truth, noise)
-        )
+        source: SimulatedDraws | Measurements
+        if not resample:
+            source = simulated_draws(robot, poses, truth, sigma, noise)
+        elif truth is not None or noise is not None:
+            raise InputError("resample: simulates nothing, so truth and noise have no effect; leave them out")
+        elif not isinstance(poses, Measurements):
+            need = "needs measurements, as calib.read_measurements reads them; these are poses alone"
+            raise InputError(f"resample: {need}")
+        else:
+            source = poses
         setting = _prepare(robot, source, settings, elsewhere, shared, draws)
         if setting.compiled and workers is not None:
             _chunk(setting, range(1))  # compiles once, so that workers only load the result
@@ -151,16 +155,18 @@ def study(
                 progress(sum(map(len, done)), draws)
     if len(failures) == draws:
         raise NotConvergedError(f"none of the {draws} draws gave an answer: {failures[0]}")
-    return _study(setting, Draws.join(done), failures, time.perf_counter() - started)
-
-
-def _measurements_to_resample(poses: object, truth: object, noise: object) -> Measurements:
-    """The measurements to resample, or `InputError`."""
-    if truth is not None or noise is not None:
-        raise InputError("resample: simulates nothing, so truth and noise have no effect; leave them out")
-    if not isinstance(poses, Measurements):
-        raise InputError("resample: needs measurements, as calib.read_measurements reads them; these are poses alone")
-    return poses
+    first = setting.first
+    return Study(
+        robot.name,
+        tuple(first.nominal.parameters[k] for k in first.unknowns.index),
+        tuple(f"{estimate.group.name}: {estimate.group.part.name}" for estimate in first.noise),
+        Draws.join(done),
+        tuple(failures),
+        setting.source.data.n_poses,
+        seed,
+        time.perf_counter() - started,
+        resample,
+    )
 
 
 @one_blas_thread
@@ -180,11 +186,9 @@ def _prepare(
     if not first.converged:
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
-    drawing = (
-        source
-        if isinstance(source, SimulatedDraws)
-        else ResampledDraws(first.robot, source, first.configurations.passive)
-    )
+    drawing = source
+    if isinstance(source, Measurements):
+        drawing = ResampledDraws(first.robot, source, first.configurations.passive)
     use_compiled = pays(draws * len(data)) or compilation_requested()
     setting = _Setting(drawing, settings, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
     each = sum(numbers.size for numbers in vars(_draw_without_answer(setting)).values())
@@ -249,21 +253,3 @@ def _draw_without_answer(setting: _Setting) -> Draws:
     n_free, at_targets = len(first.unknowns), (len(setting.prediction_joints), len(first.nominal.target_names), 3)
     shapes = ((n_free,),) * 4 + ((len(first.noise),),) + ((),) * 3 + (at_targets,) * 2
     return Draws(*(np.full((1, *shape), np.nan) for shape in shapes))
-
-
-def _study(setting: _Setting, draws: Draws, failures: Sequence[str], seconds: float) -> Study:
-    """Return the study of all draws."""
-    first = setting.first
-    free = tuple(first.nominal.parameters[k] for k in first.unknowns.index)
-    groups = tuple(f"{estimate.group.name}: {estimate.group.part.name}" for estimate in first.noise)
-    return Study(
-        first.nominal.name,
-        free,
-        groups,
-        draws,
-        tuple(failures),
-        setting.source.data.n_poses,
-        setting.settings.seed,
-        seconds,
-        isinstance(setting.source, ResampledDraws),
-    )

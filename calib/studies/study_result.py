@@ -56,9 +56,7 @@ class Draws(ReadOnlyArrays):
     @staticmethod
     def join(parts: Sequence[Draws]) -> Draws:
         """Return the draws of several parts in one."""
-        return Draws(
-            **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Draws)}
-        )
+        return Draws(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Draws)))
 
     @property
     def has_answer(self) -> BoolArray:
@@ -87,10 +85,6 @@ class ParameterStudy:
     spread: float
     claimed: float
     coverage: float
-
-    def row(self) -> dict[str, object]:
-        """Return the row of a table."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -131,8 +125,7 @@ class Study(ReadOnlyArrays):
     @cached_property
     def answered(self) -> Draws:
         """The draws with an answer."""
-        kept = self.draws.has_answer
-        return Draws(**{field.name: getattr(self.draws, field.name)[kept] for field in fields(Draws)})
+        return Draws(*(getattr(self.draws, field.name)[self.draws.has_answer] for field in fields(Draws)))
 
     @property
     def parameters(self) -> tuple[ParameterStudy, ...]:
@@ -190,8 +183,8 @@ class Study(ReadOnlyArrays):
             more = len(parameters) - _SHOWN
             parameters = tuple(sorted(parameters, key=lambda parameter: parameter.coverage)[:_SHOWN])
         for parameter in parameters:
-            row = parameter.row()
-            numbers = [f"{row[key]:.3g}" for key in ("bias", "bias_std", "spread", "claimed")]
+            shown = (parameter.bias, parameter.bias_std, parameter.spread, parameter.claimed)
+            numbers = [f"{number:.3g}" for number in shown]
             ratio = parameter.spread / parameter.claimed if parameter.claimed > 0 else float("nan")
             table.add_row(parameter.name, parameter.unit, *numbers, f"{ratio:.3f}", f"{100 * parameter.coverage:.1f}")
         rest = (
@@ -236,7 +229,7 @@ class Study(ReadOnlyArrays):
 
     def to_dataframe(self) -> Any:
         """Return a pandas table of the free parameters over all draws; `InputError` without pandas."""
-        return data_frame([parameter.row() for parameter in self.parameters])
+        return data_frame([asdict(parameter) for parameter in self.parameters])
 
     def to_dict(self) -> dict[str, object]:
         """Return the study as data for JSON; parameters in the units of tables, unknown numbers None."""
@@ -251,7 +244,7 @@ class Study(ReadOnlyArrays):
                 "resampled": self.resampled,
                 "seed": self.seed,
                 "seconds": self.seconds,
-                "parameters": [parameter.row() for parameter in self.parameters],
+                "parameters": [asdict(parameter) for parameter in self.parameters],
                 "sigma": {name: float(value) for name, value in zip(self.groups, sigma, strict=True)},
                 "chi_square": self.chi_square,
                 "chi_square_refused": self.chi_square_refused,

@@ -99,8 +99,7 @@ def has_collision_shapes(robot: RobotData) -> bool:
 def is_moved_frame(robot: RobotData) -> BoolArray:
     """Mask of the frames that move relative to the root link, (n_joints + 1,)."""
     mechanism = robot.mechanism
-    result: BoolArray = mechanism.support @ np.any(mechanism.select_moving != 0, axis=1) > 0
-    return result
+    return np.asarray(mechanism.support @ np.any(mechanism.select_moving != 0, axis=1) > 0)
 
 
 def _links(robot: RobotData) -> tuple[list[Body], tuple[str, ...]]:

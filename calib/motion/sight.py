@@ -159,5 +159,4 @@ def _points_seen(instrument: FrameInstrument) -> FloatArray:
         return np.zeros((1, 3))
     points = np.array(list(instrument.points_of_body.values()))
     across = points[:, :2] @ np.array([[1.0, 1.0], [1.0, -1.0]])
-    outermost: FloatArray = points[np.unique([*across.argmin(axis=0), *across.argmax(axis=0)])]
-    return outermost
+    return points[np.unique([*across.argmin(axis=0), *across.argmax(axis=0)])]

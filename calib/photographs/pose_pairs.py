@@ -234,12 +234,12 @@ def _found_pose(fitted: JudgedFit, null: FloatArray, place: str) -> tuple[FoundP
     """Pose of `place` with its intervals, and its motion by unseen changes, (6, k)."""
     robot, pose = fitted.robot, _place(fitted.robot, place)
 
-    def moved(step: FloatArray) -> FloatArray:
+    def displace(step: FloatArray) -> FloatArray:
         after = _place(robot.with_parameters(robot.values + step), place)
         return np.append(after[:3, 3], rotation_vectors(pose[None, :3, :3].transpose(0, 2, 1) @ after[None, :3, :3]))
 
     steps = _STEP * np.eye(len(robot.parameters))
-    by = np.stack([moved(step) - moved(-step) for step in steps], axis=1) / (2 * _STEP)  # (6, n_parameters)
+    by = np.stack([displace(step) - displace(-step) for step in steps], axis=1) / (2 * _STEP)  # (6, n_parameters)
     free = robot.is_free
     spread = by[:, free] @ np.asarray(fitted.covariance) @ by[:, free].T
     known = [fitted.parameters[name] for name in fitted.free_names]

@@ -146,7 +146,7 @@ def _step_pose(pose: FloatArray, step: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class HandEyeUnknowns(ReadOnlyArrays):
-    """What is fitted besides the poses of camera and board.
+    """Unknowns of a fit besides the poses of camera and board.
 
     Attributes:
         free: Indices of the fitted intrinsics.

@@ -73,12 +73,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
             "accuracy_mm": _task(a.accuracy),
             "beside_common_motion_mm": millimetres(a.rms_without_common),
             "by_count": [
-                {
-                    "count": row.count,
-                    "uniform": None if row.uniform is None else _task(row.uniform),
-                    "chosen": None if row.chosen is None else _task(row.chosen),
-                }
-                for row in a.by_count
+                {"count": row.count, "uniform": _task(row.uniform), "chosen": _task(row.chosen)} for row in a.by_count
             ],
             "near_singular": list(a.near_singular),
             "left_out": list(a.left_out),
@@ -210,13 +205,12 @@ def _pair(task: TaskIndex) -> tuple[str, str]:
     )  # type: ignore[return-value]
 
 
-def _task(task: TaskIndex) -> dict[str, object]:
+def _task(task: TaskIndex | None) -> dict[str, object] | None:
     """The error in mm; unknown where no parameter moves a position."""
-    return {
-        "rms": millimetres(task.rms or math.nan),
-        "max": millimetres(task.maximum or math.nan),
-        "worst_pose": task.worst_pose,
-    }
+    if task is None:
+        return None
+    rms, largest = (millimetres(value or math.nan) for value in (task.rms, task.maximum))
+    return {"rms": rms, "max": largest, "worst_pose": task.worst_pose}
 
 
 def _rank(rank: Rank) -> dict[str, object]:

@@ -120,8 +120,7 @@ def uniform_start(usable: IntArray, count: int) -> IntArray:
     """Return `count` of the usable candidates (n,), evenly spread over their order, (count,)."""
     if count == 0:
         return usable[:0]
-    result: IntArray = usable[(2 * np.arange(count) + 1) * len(usable) // (2 * count)]
-    return result
+    return usable[(2 * np.arange(count) + 1) * len(usable) // (2 * count)]
 
 
 def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Spacing) -> Exchange:

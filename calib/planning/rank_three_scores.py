@@ -74,8 +74,7 @@ class DeterminantScores(ChoiceInformation):
 
     def gains(self) -> FloatArray:
         """Return the rise of log det K by adding each candidate, (n_candidates,)."""
-        result: FloatArray = np.log(_determinants(self.seen, 1.0))
-        return result
+        return np.log(_determinants(self.seen, 1.0))
 
     def best_move(self, allowed: BoolArray, *, add: bool) -> int:
         """Return the best next move; see `calib.planning.selection_scores.Scores`."""
@@ -119,12 +118,10 @@ def _products(rows: FloatArray, matrix: FloatArray) -> FloatArray:
 def _determinants(seen: FloatArray, sign: float) -> FloatArray:
     """det(I +- G) of every candidate; written out for three rows, much faster than factorisations."""
     if len(seen) != 3:
-        result: FloatArray = np.linalg.det(np.eye(len(seen)) + sign * seen.transpose(2, 0, 1))
-        return result
+        return np.asarray(np.linalg.det(np.eye(len(seen)) + sign * seen.transpose(2, 0, 1)))
     a, b, c = (1.0 + sign * seen[i, i] for i in range(3))
     d, e, f = sign * seen[0, 1], sign * seen[0, 2], sign * seen[1, 2]
-    written: FloatArray = a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)
-    return written
+    return np.asarray(a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +145,7 @@ class TaskScores(ChoiceInformation):
     def gains(self) -> FloatArray:
         """Return the fall of trace(W K^-1) by adding each candidate, (n_candidates,)."""
         seen, task_rows = self._task_products
-        result: FloatArray = np.trace(np.linalg.solve(np.eye(seen.shape[1]) + seen, task_rows), axis1=1, axis2=2)
-        return result
+        return np.trace(np.linalg.solve(np.eye(seen.shape[1]) + seen, task_rows), axis1=1, axis2=2)
 
     def best_move(self, allowed: BoolArray, *, add: bool) -> int:
         """Return the best next move; see `calib.planning.selection_scores.Scores`."""
@@ -159,10 +155,8 @@ class TaskScores(ChoiceInformation):
         candidates = np.flatnonzero(allowed)
         small = np.eye(seen.shape[1]) - seen[candidates]
         solvable = self._sparing.spares(self.problem.rows[candidates])
-        candidates, small = (
-            (candidates[solvable], small[solvable])
-            if np.any(solvable)
-            else (candidates[:1], np.eye(seen.shape[1])[None])
-        )
+        if not np.any(solvable):
+            return int(candidates[0])
+        candidates, small = candidates[solvable], small[solvable]
         change = np.trace(np.linalg.solve(small, task_rows[candidates]), axis1=1, axis2=2)
         return int(candidates[np.argmin(change)])

@@ -216,13 +216,11 @@ def _certify(
         starts["best"] = np.flatnonzero(best.chosen)
     for more, run in _run(setting, searched, tuple(starts), tuple(starts.values())):
         best, runs = max(best, more, key=lambda exchange: exchange.scores.value), (*runs, run)
-    gathered = problem.information_of(best.chosen.astype(float))
-    if index == TASK:
-        bound = setting.index_of_score(-float(np.exp(-relaxation.log_bound)))
-        value = setting.index_of_score(-problem.task_trace(gathered))
-        return runs, best, min(1.0, bound / value), bound
-    efficiency = relaxation.efficiency(log_phi(problem, index, gathered))
-    return runs, best, efficiency, index_values(problem, best.chosen, setting.sigma)[index] / efficiency
+    log_phis = relaxation.log_bound, log_phi(problem, index, problem.information_of(best.chosen.astype(float)))
+    # scores by log phi: minus trace(W K^-1), log det K
+    scores = (-float(np.exp(-each)) if index == TASK else len(problem.strengths) * each for each in log_phis)
+    bound, value = map(setting.index_of_score, scores)
+    return runs, best, min(1.0, bound / value if index == TASK else value / bound), bound
 
 
 def _blocks(setting: SelectionSetting, chosen: IntArray) -> IntArray:

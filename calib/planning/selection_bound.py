@@ -59,10 +59,6 @@ class Relaxation(ReadOnlyArrays):
     log_bound: float
     weights: FloatArray
 
-    def efficiency(self, log_phi: float) -> float:
-        """Return the index of a choice over its bound (for the task index: bound over index), at most 1."""
-        return float(min(1.0, np.exp(0.5 * (log_phi - self.log_bound))))
-
 
 def relax(
     problem: SelectionProblem, index: str, chosen: BoolArray, usable: BoolArray, kinds: IntArray | None = None

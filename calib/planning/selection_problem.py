@@ -196,5 +196,4 @@ class PoseRedundancy:
         """Return the mask of removable poses, (n,), from their rows B, (n, 3 n_targets, r)."""
         seen = rows @ self.whiten
         left = np.eye(rows.shape[1]) - seen @ seen.transpose(0, 2, 1)
-        result: BoolArray = linalg.eigvalsh(left)[:, 0] > self.least
-        return result
+        return np.asarray(linalg.eigvalsh(left)[:, 0] > self.least)

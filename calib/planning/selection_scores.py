@@ -152,8 +152,7 @@ def _pinched_eigenvalues(eigenvalues: FloatArray, turned: FloatArray, sign: floa
     low = turned[:, :, :_PINCHED]
     block = np.diag(eigenvalues[:_PINCHED]) + sign * np.matmul(low.transpose(0, 2, 1), low)
     diagonal = eigenvalues[_PINCHED:] + sign * np.sum(turned[:, :, _PINCHED:] ** 2, axis=1)
-    result: FloatArray = np.concatenate([linalg.eigvalsh(block), diagonal], axis=1)
-    return result
+    return np.concatenate([linalg.eigvalsh(block), diagonal], axis=1)
 
 
 def spectral_index(eigenvalues: FloatArray, index: str) -> FloatArray:

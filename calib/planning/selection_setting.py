@@ -171,8 +171,7 @@ def prepare(
 
 def points_of(positions: FloatArray) -> FloatArray:
     """Return points (n, 3 n_targets) [m], whose distances are the RMS distances of the targets of two poses."""
-    result: FloatArray = positions.reshape(len(positions), 3 * positions.shape[1]) / np.sqrt(positions.shape[1])
-    return result
+    return positions.reshape(len(positions), 3 * positions.shape[1]) / np.sqrt(positions.shape[1])
 
 
 def require_count(setting: SelectionSetting) -> None:

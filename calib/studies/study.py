@@ -61,7 +61,6 @@ class _Setting:
 
     Attributes:
         source: Source of the data of a draw.
-        settings: Settings of the fit.
         repeated: Calibration of further draws.
         prediction_joints: Joint values of poses to predict, (n, n_actuated) [m or rad].
         prediction_passive: Passive joints there, (n, n_passive) [m or rad].
@@ -70,7 +69,6 @@ class _Setting:
     """
 
     source: SimulatedDraws | ResampledDraws
-    settings: Settings
     repeated: RepeatedCalibration
     prediction_joints: FloatArray
     prediction_passive: FloatArray
@@ -190,7 +188,7 @@ def _prepare(
     if isinstance(source, Measurements):
         drawing = ResampledDraws(first.robot, source, first.configurations.passive)
     use_compiled = pays(draws * len(data)) or compilation_requested()
-    setting = _Setting(drawing, settings, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
+    setting = _Setting(drawing, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
     each = sum(numbers.size for numbers in vars(_draw_without_answer(setting)).values())
     require_memory(2 * draws * each, count_noun(draws, "draw"), "ask for fewer")
     return setting

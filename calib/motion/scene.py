@@ -54,9 +54,18 @@ class CollisionScene:
     remarks: tuple[str, ...] = ()
     without_clearance: frozenset[tuple[int, int]] = frozenset()
 
-    def with_pairs(self, pairs: Pairs, *remarks: str) -> CollisionScene:
-        """Return the scene with these pairs and further remarks."""
-        return replace(self, pairs=pairs, remarks=self.remarks + remarks)
+    def select_pairs(self, chosen: BoolArray) -> CollisionScene:
+        """Return the scene with the chosen pairs, (n_pairs,)."""
+        return replace(self, pairs=tuple(pair for pair, keep in zip(self.pairs, chosen, strict=True) if keep))
+
+    def with_remarks(self, *remarks: str) -> CollisionScene:
+        """Return the scene with further remarks."""
+        return replace(self, remarks=self.remarks + remarks)
+
+    @property
+    def has_described(self) -> BoolArray:
+        """Mask of the pairs with a shape of the description, (n_pairs,)."""
+        return np.array([any(self.bodies[k].is_described for k in pair) for pair in self.pairs], dtype=bool)
 
     def name(self, pair: int) -> str:
         """Return the name of a pair."""

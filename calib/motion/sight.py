@@ -124,7 +124,7 @@ class Sight:
         remarks = [
             f"{body} nearly always hides {line}, so it is not checked for that line" for line, body in sorted(ends_in)
         ]
-        return Sight(self.scene.with_pairs(self.scene.pairs, *remarks), self.lines, ends_in)
+        return Sight(self.scene.with_remarks(*remarks), self.lines, ends_in)
 
 
 def _touches(shape: Any, T: Any, beam: Any, place: Any) -> bool:

@@ -254,12 +254,17 @@ def _place(parent: str, child: str, pose: FloatArray, half: tuple[float, float])
     }  # fmt: skip
 
 
+def as_json(data: Mapping[str, object]) -> bytes:
+    """Return data as the content of a JSON file."""
+    return (json.dumps(as_data(data), indent=1, allow_nan=False) + "\n").encode()
+
+
 def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
     """Return the transform of the camera as files of other programs, by name."""
     intrinsics = result.fitted.placed.intrinsics
     width, height = result.scene.size
     return {
-        "hand_eye.json": (json.dumps(as_data(content(result, frames)), indent=1, allow_nan=False) + "\n").encode(),
+        "hand_eye.json": as_json(content(result, frames)),
         **transform_files(result.fitted.placed.camera, result.scene.mount, frames),
         "camera_info.yaml": (
             f"image_width: {width}\nimage_height: {height}\ncamera_name: camera\n"
@@ -282,9 +287,10 @@ def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[st
     matrix = "\n".join(" ".join(f"{value:.15g}" for value in row) for row in camera)
     namespace = f"/easy_handeye_eye_on_{'hand' if hand else 'base'}/"
     frame_lines = (
-        f"robot_base_frame: {frames.base}\nrobot_effector_frame: {frames.tool}\ntracking_base_frame: {frames.camera}\n"
+        f"  robot_base_frame: {frames.base}\n  robot_effector_frame: {frames.tool}\n"
+        f"  tracking_base_frame: {frames.camera}\n  tracking_marker_frame: {frames.board}\n"
     )
-    inside = "".join(f"  {key}: {numbers[key]}\n" for key in ("x", "y", "z", "qx", "qy", "qz", "qw"))
+    inside = "".join(f"  {key}: {number}\n" for key, number in numbers.items())
     return {
         "camera_matrix.txt": (matrix + "\n").encode(),
         "static_transform.sh": (
@@ -294,16 +300,13 @@ def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[st
         "camera_pose.launch.py": _launch(arguments, hand).encode(),
         "easy_handeye.yaml": (
             f"parameters:\n  namespace: {namespace}\n  move_group_namespace: /\n  move_group: manipulator\n"
-            f"  eye_on_hand: {str(hand).lower()}\n"
-            + "".join(f"  {line}\n" for line in frame_lines.splitlines())
-            + f"  tracking_marker_frame: {frames.board}\ntransformation:\n{inside}"
+            f"  eye_on_hand: {str(hand).lower()}\n{frame_lines}transformation:\n{inside}"
         ).encode(),
         "easy_handeye2.calib": (
             f"parameters:\n  name: camera\n  calibration_type: {'eye_in_hand' if hand else 'eye_on_base'}\n"
-            + "".join(f"  {line}\n" for line in frame_lines.splitlines())
-            + f"  tracking_marker_frame: {frames.board}\n  freehand_robot_movement: true\n"
-            + f"transform:\n  translation: {{x: {numbers['x']}, y: {numbers['y']}, z: {numbers['z']}}}\n"
-            + f"  rotation: {{x: {numbers['qx']}, y: {numbers['qy']}, z: {numbers['qz']}, w: {numbers['qw']}}}\n"
+            f"{frame_lines}  freehand_robot_movement: true\n"
+            f"transform:\n  translation: {{x: {numbers['x']}, y: {numbers['y']}, z: {numbers['z']}}}\n"
+            f"  rotation: {{x: {numbers['qx']}, y: {numbers['qy']}, z: {numbers['qz']}, w: {numbers['qw']}}}\n"
         ).encode(),
     }  # fmt: skip
 

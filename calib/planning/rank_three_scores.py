@@ -11,6 +11,7 @@ With three coordinates per pose this change has rank three, and small matrices o
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -26,19 +27,28 @@ _UPDATED = 1e-6  # least det(I - G) for an update; near zero, the update would l
 
 
 @dataclass(frozen=True, eq=False)
-class ChoiceInformation:
-    """Information K (r, r) of the chosen candidates of a problem."""
+class Scores(ABC):
+    """Value of a choice, and its best next moves, by the information K (r, r) of the chosen candidates."""
 
     problem: SelectionProblem
     gathered: FloatArray
 
+    @property
+    @abstractmethod
+    def value(self) -> float:
+        """Larger is better; comparable between choices of equally many poses."""
+
+    @abstractmethod
+    def best_move(self, allowed: BoolArray, *, add: bool) -> int:
+        """Return the allowed candidate (n_candidates,) whose addition (or removal) is best."""
+
     def after_move(self, candidate: int, *, add: bool) -> Self:
-        """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
+        """Return the scores after adding (or removing) a candidate."""
         rows = self.problem.rows[candidate]
         return replace(self, gathered=self.gathered + (1.0 if add else -1.0) * rows.T @ rows)
 
     def spares(self, candidate: int) -> bool:
-        """Return whether a chosen candidate can go; see `calib.planning.selection_scores.Scores`."""
+        """Return whether every direction stays determined without this chosen candidate."""
         return bool(self._sparing.spares(self.problem.rows[[candidate]])[0])
 
     @cached_property
@@ -47,7 +57,7 @@ class ChoiceInformation:
 
 
 @dataclass(frozen=True, eq=False)
-class DeterminantScores(ChoiceInformation):
+class DeterminantScores(Scores):
     """log det K, by rank-three updates.
 
     Attributes:
@@ -61,7 +71,7 @@ class DeterminantScores(ChoiceInformation):
     moves_since_update: int
 
     @classmethod
-    def from_problem(cls, problem: SelectionProblem, gathered: FloatArray) -> DeterminantScores:
+    def from_problem(cls, problem: SelectionProblem, gathered: FloatArray) -> Self:
         """Return the scores of a choice with this K, (r, r)."""
         inverse = np.linalg.inv(gathered)
         root = _products(problem.rows, _root(inverse))
@@ -77,12 +87,12 @@ class DeterminantScores(ChoiceInformation):
         return np.log(_determinants(self.seen, 1.0))
 
     def best_move(self, allowed: BoolArray, *, add: bool) -> int:
-        """Return the best next move; see `calib.planning.selection_scores.Scores`."""
+        """Return the best next move; see `Scores`."""
         factors = _determinants(self.seen, 1.0 if add else -1.0)
         return int(np.argmax(np.where(allowed, factors, -np.inf)))
 
-    def after_move(self, candidate: int, *, add: bool) -> DeterminantScores:
-        """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
+    def after_move(self, candidate: int, *, add: bool) -> Self:
+        """Return the scores after a move; see `Scores`."""
         sign = 1.0 if add else -1.0
         rows = self.problem.rows[candidate]
         gathered = self.gathered + sign * rows.T @ rows
@@ -91,12 +101,13 @@ class DeterminantScores(ChoiceInformation):
         if (
             self.moves_since_update >= _REFRESH or left < _UPDATED or linalg.eigvalsh(small)[0] <= 0
         ):  # the determinant alone may be positive with two negative eigenvalues
-            return DeterminantScores.from_problem(self.problem, gathered)
+            return self.from_problem(self.problem, gathered)
         half = np.linalg.solve(np.linalg.cholesky(small), rows @ self.inverse).T
         inverse = self.inverse - sign * half @ half.T
         through = _products(self.problem.rows, half)
         seen = self.seen - sign * np.einsum("icn,kcn->ikn", through, through)
-        return DeterminantScores(self.problem, gathered, inverse, seen, self.moves_since_update + 1)
+        moves = self.moves_since_update + 1
+        return replace(self, gathered=gathered, inverse=inverse, seen=seen, moves_since_update=moves)
 
 
 def _root(matrix: FloatArray) -> FloatArray:
@@ -125,7 +136,7 @@ def _determinants(seen: FloatArray, sign: float) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class TaskScores(ChoiceInformation):
+class TaskScores(Scores):
     """Minus trace(W K^-1), the square of the task index, by changes of rank three."""
 
     @cached_property
@@ -148,7 +159,7 @@ class TaskScores(ChoiceInformation):
         return np.trace(np.linalg.solve(np.eye(seen.shape[1]) + seen, task_rows), axis1=1, axis2=2)
 
     def best_move(self, allowed: BoolArray, *, add: bool) -> int:
-        """Return the best next move; see `calib.planning.selection_scores.Scores`."""
+        """Return the best next move; see `Scores`."""
         if add:
             return int(np.argmax(np.where(allowed, self.gains(), -np.inf)))
         seen, task_rows = self._task_products

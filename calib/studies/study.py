@@ -184,9 +184,11 @@ def _prepare(
     if not first.converged:
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
-    drawing = source
+    drawing: SimulatedDraws | ResampledDraws
     if isinstance(source, Measurements):
         drawing = ResampledDraws(first.robot, source, first.configurations.passive)
+    else:
+        drawing = source
     use_compiled = pays(draws * len(data)) or compilation_requested()
     setting = _Setting(drawing, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
     each = sum(numbers.size for numbers in vars(_draw_without_answer(setting)).values())

@@ -241,12 +241,10 @@ def test_of_other_readings_just_the_one_that_is_named_gives_the_scene_back():
     exact = scene(9, "tool", noise=0.0)
     for words, wrong in misread(exact):
         fits = [
-            reading.text
-            for reading in other_readings(wrong, ("tool",))
-            if len(reading.scene) == len(exact)
-            and all(
-                np.allclose(getattr(reading.scene, part), getattr(exact, part)) for part in ("tool", "body", "pixels")
-            )
+            text
+            for _, text, other in other_readings(wrong, ("tool",))
+            if len(other) == len(exact)
+            and all(np.allclose(getattr(other, part), getattr(exact, part)) for part in ("tool", "body", "pixels"))
         ]
         assert len(fits) == 1, words
         assert words in fits[0]

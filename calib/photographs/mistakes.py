@@ -15,6 +15,7 @@ count if they raise the likelihood by more than chance does in one data set of t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,7 +42,7 @@ from calib.photographs.scene import (
     rows,
 )
 from calib.photographs.shared_errors import ErrorSizes, deviance, find_noise, normal_equations
-from calib.photographs.starts import Start, image_rms, start
+from calib.photographs.starts import image_rms, start
 
 _UNKNOWN = "not_explained"
 _FAR_PIXELS = 4.0
@@ -126,18 +127,15 @@ def _mistakes_of_whole(
     if not typical > 4 * alone:
         return []
     ends: list[tuple[float, str, str]] = []
-    for reading in other_readings(scene, mounts):
+    for code, text, other in other_readings(scene, mounts):
         try:
-            begun: Start = start(reading.scene, intrinsics, mounts=reading.mounts)
+            begun = start(other, intrinsics, mounts=mounts)
         except (CalibrationError, np.linalg.LinAlgError):
             continue
-        ends.append((begun.typical, reading.code, reading.text))
+        ends.append((begun.typical, code, text))
         if begun.typical < _SURE * typical:
             break
-    least, code, text = min(ends, default=(np.inf, "", ""))
-    other_size = _other_size(scene, fitted)
-    if other_size is not None and other_size[0] < least:
-        least, code, text = other_size
+    least, code, text = min([*ends, *_other_size(scene, fitted)], default=(np.inf, "", ""))
     if least < _HALVES * typical:
         return [Mistake(code, f"{text} (then {least:.1f} px are left in place of {typical:.1f})", True)]
     text = (
@@ -147,21 +145,21 @@ def _mistakes_of_whole(
     return [Mistake(_UNKNOWN, text, True)]
 
 
-def _other_size(scene: BoardScene, fitted: HandEyeEstimate) -> tuple[float, str, str] | None:
-    """Median RMS of the images with a fitted size of the board [px], the code and the words; None if implausible."""
+def _other_size(scene: BoardScene, fitted: HandEyeEstimate) -> Iterator[tuple[float, str, str]]:
+    """Median RMS of the images with a fitted size of the board [px], the code and the words, if it is plausible."""
     try:
         unknowns = replace(free_lens(fitted.placed.intrinsics, scene, True), scaled=True)
         placed = solve(scene, fitted.placed, unknowns, ErrorSizes())
     except (CalibrationError, np.linalg.LinAlgError):
-        return None
+        return
     change = placed.scale - 1.0
     if abs(change) < _SCALE_OFF or not 1 / _OTHER_UNIT < placed.scale < _OTHER_UNIT:
-        return None
+        return
     text = (
         f"the board is {100 * abs(change):.0f} % {'larger' if change > 0 else 'smaller'} than described: measure its"
         " squares or markers, and correct its sizes"
     )
-    return float(np.median(image_rms(scene, placed))), "square_size", text
+    yield float(np.median(image_rms(scene, placed))), "square_size", text
 
 
 def _check_exchange(placed: HandEyePlacement, mount: Mount) -> Mistake | None:

@@ -11,7 +11,7 @@ Every draw has its own seed, spawned from the study's (`numpy.random.SeedSequenc
 on the number of workers or the distribution of draws. Workers get draws in chunks, each a fit that starts from the
 first (`calib.studies.many_calibrations`). A chunk whose worker is lost is sent again (`calib.core.base.workers`).
 
-When it fails. A draw without an answer, or not converged, is counted and left out of every average. A study simulates
+When it fails. A draw without an answer, or not converged, is counted and left out. A study simulates
 its inputs: errors that are neither in the truth nor in the noise are not in its figures.
 
 Reference: jcgm101.
@@ -146,11 +146,11 @@ def study(
         setting = _prepare(robot, source, settings, elsewhere, shared, draws)
         if setting.compiled and workers is not None:
             _chunk(setting, range(1))  # compiles once, so that workers only load the result
-        for some, why in results_in_order(partial(_chunk, setting), chunks, workers):
-            done.append(some)
+        for chunk, (some, why) in zip(chunks, results_in_order(partial(_chunk, setting), chunks, workers), strict=True):
+            done += some
             failures += why
             if progress is not None:
-                progress(sum(map(len, done)), draws)
+                progress(chunk.stop, draws)
     if len(failures) == draws:
         raise NotConvergedError(f"none of the {draws} draws gave an answer: {failures[0]}")
     first = setting.first
@@ -191,7 +191,7 @@ def _prepare(
         drawing = source
     use_compiled = pays(draws * len(data)) or compilation_requested()
     setting = _Setting(drawing, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
-    each = sum(numbers.size for numbers in vars(_draw_without_answer(setting)).values())
+    each = 4 * len(first.unknowns) + len(first.noise) + 3 + 6 * len(q) * len(robot.target_names)
     require_memory(2 * draws * each, count_noun(draws, "draw"), "ask for fewer")
     return setting
 
@@ -202,25 +202,26 @@ def _seed_of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSe
 
 
 @one_blas_thread
-def _chunk(setting: _Setting, numbers: range) -> tuple[Draws, list[str]]:
-    """The draws of these numbers, and the reasons of those without an answer."""
+def _chunk(setting: _Setting, numbers: range) -> tuple[list[Draws], list[str]]:
+    """The draws of these numbers that have an answer, in one, and the reasons of the others."""
     draws, failures = list[Draws](), list[str]()
     with compile_kinematics() if setting.compiled else nullcontext():
         for number in numbers:
             try:
                 drawn = setting.source.draw(_seed_of_draw(setting.seed, number))
                 estimate = setting.repeated.estimate(drawn)
-                failure = estimate.open
             except CalibrationError as error:
-                failure = str(error)
-            if failure:
-                failures.append(failure)
-            draws.append(_draw_without_answer(setting) if failure else _draw(setting, drawn.truth, estimate))
-    return Draws.join(draws), failures
+                failures.append(str(error))
+                continue
+            if estimate.open:
+                failures.append(estimate.open)
+            else:
+                draws.append(_draw(setting, drawn.truth, estimate))
+    return [Draws.join(draws)] if draws else [], failures
 
 
 def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
-    """A draw with an answer."""
+    """The row of a draw."""
     first, known = setting.first, estimate.statistics
     true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
     errors = half_width = np.zeros((0, len(truth.target_names), 3))
@@ -245,11 +246,3 @@ def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
         half_width,
     )
     return Draws(*(np.asarray(row)[None] for row in rows))
-
-
-def _draw_without_answer(setting: _Setting) -> Draws:
-    """A draw without an answer: NaN."""
-    first = setting.first
-    n_free, at_targets = len(first.unknowns), (len(setting.prediction_joints), len(first.nominal.target_names), 3)
-    shapes = ((n_free,),) * 4 + ((len(first.noise),),) + ((),) * 3 + (at_targets,) * 2
-    return Draws(*(np.full((1, *shape), np.nan) for shape in shapes))

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError
 from calib.core.instruments.camera import NAMES
 from calib.core.numerics import linalg
@@ -35,7 +35,6 @@ from calib.photographs.scene import (
     SIDES,
     BoardScene,
     HandEyePlacement,
-    ImageSums,
     Mount,
     linearise,
     residuals,
@@ -208,7 +207,9 @@ def _check_move(scene: BoardScene, fitted: HandEyeEstimate) -> Mistake | None:
     before = deviance(linear, find_noise(linear, fitted.noise))
     best: tuple[float, int, str, FloatArray] = (0.0, 0, "", np.zeros(6))
     for which, first in (("board", 6), ("camera", 0)):
-        moved_from = [_with_step(linear, np.arange(n) >= k, first) for k in range(3, n - 2)]
+        chosen, none = np.eye(linear.jj.shape[1])[:, first : first + 6], np.zeros((n, 6, 6))
+        # six further unknowns: a step in later images
+        moved_from = [linear.with_columns((np.arange(n) >= k)[:, None, None] * chosen, none) for k in range(3, n - 2)]
         left = [deviance(each, fitted.noise) for each in moved_from]  # at the same noise
         most = moved_from[int(np.argmin(left))]
         noise = find_noise(most, fitted.noise)
@@ -227,12 +228,6 @@ def _check_move(scene: BoardScene, fitted: HandEyeEstimate) -> Mistake | None:
         f" {np.rad2deg(turned):.2f} deg:"
         " fix it, and take the images again (or calibrate twice: with the images before, and with those after)",
     )
-
-
-def _with_step(linear: ImageSums, later: BoolArray, first: int) -> ImageSums:
-    """The problem with six further unknowns: a step of camera or board in later images."""
-    chosen = np.eye(linear.jj.shape[1])[:, first : first + 6]
-    return linear.with_columns(later[:, None, None] * chosen, np.zeros((len(later), 6, 6)))
 
 
 def _explains(scene: BoardScene, fitted: HandEyeEstimate, k: int, which: str) -> bool:

@@ -141,7 +141,8 @@ def solve_pairs(
             ("CHECK", f"a camera {SIDES[OTHER[mount]]} fits almost as well; say where it is with --camera-on")
         )
     robot = _robot(tool, seen, mount)
-    joints = np.hstack([tool[:, :3, 3], [_angles(pose) for pose in tool[:, :3, :3]]])
+    angles = [-pin.rpy.matrixToRpy(turn.T) for turn in tool[:, :3, :3]]  # of hinges about x, the new y, the newest z
+    joints = np.hstack([tool[:, :3, 3], angles])
     values = np.hstack([seen[:, :3, 3], rotation_vectors(seen[:, :3, :3])])
     data = as_measurements(robot, joints, {"camera": values}, list(names))
     observed = observe(robot, robot.assemble(data.joints, labels=data.labels), data.readings)["camera"]
@@ -187,11 +188,6 @@ def _closed_form_residual(tool: FloatArray, seen: FloatArray, mount: Mount) -> f
     distance = np.mean(np.linalg.norm(seen[:, :3, 3], axis=1))
     turned = rotation_vectors(off[:, :3, :3])
     return float(np.sqrt(np.mean(np.sum(off[:, :3, 3] ** 2, axis=1) + distance**2 * np.sum(turned**2, axis=1))))
-
-
-def _angles(rotation: FloatArray) -> FloatArray:
-    """Angles of the three hinges about x, the new y and the newest z, (3,) [rad]."""
-    return np.asarray(-pin.rpy.matrixToRpy(rotation.T))
 
 
 def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:

@@ -80,11 +80,6 @@ class _Setting:
         """The fit from which all others start."""
         return self.repeated.first
 
-    @property
-    def states_noise(self) -> bool:
-        """Whether chi-square is meaningful: not for resampled poses, whose repeats scatter less than noise does."""
-        return self.first.chi_square is not None and isinstance(self.source, SimulatedDraws)
-
 
 def study(
     robot: RobotLike,
@@ -233,13 +228,15 @@ def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
         spread = propagate_covariance(at.jacobian[..., first.unknowns.index], known.covariance)
         half_width = known.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
         errors = at.positions - truth.positions(setting.prediction_joints, seed=setting.prediction_passive)
+    # repeats of resampled poses scatter less than noise does
+    has_chi_square = first.chi_square is not None and isinstance(setting.source, SimulatedDraws)
     rows = (
         np.array([true.get(name, np.nan) for name in first.free_names]),
         estimate.values,
         known.std,
         known.half_width,
         estimate.sigma,
-        estimate.chi_square if setting.states_noise else np.nan,
+        estimate.chi_square if has_chi_square else np.nan,
         known.freedom,
         float(estimate.names_outliers),
         errors,

@@ -68,10 +68,7 @@ def command(
     if not data:
         if poses < 1:
             raise InputError(f"--poses {poses}: at least one is needed")
-        pose_set, source = (
-            sample(model, poses, seed),
-            f"sampled over the joint limits, seed {seed}",
-        )
+        pose_set, source = sample(model, poses, seed), f"sampled over the joint limits, seed {seed}"
         if len(model.description.setups) > 1:
             output.note("note: all sampled poses are in the first setup; they do not test what another setup moves")
     else:

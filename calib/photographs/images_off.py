@@ -19,7 +19,7 @@ from calib.photographs.camera_alone import point_errors
 from calib.photographs.estimation import plain, predict_left_out_images
 from calib.photographs.lens_choice import LENS_NUMBERS, free_lens
 from calib.photographs.scene import POSES, BoardScene, HandEyePlacement, HandEyeUnknowns, linearise, residuals
-from calib.photographs.starts import Start, image_rms
+from calib.photographs.starts import Start
 
 _OFF = 5.0  # an image is left out if its error is more than this many times the median
 _LEAST_OFF = 1.0  # smaller errors are always allowed [px]
@@ -66,8 +66,7 @@ def fitting_points(begin: Start, intrinsics: FloatArray) -> tuple[Start, tuple[O
         OffPoint(scene.names[scene.image[k]], (float(scene.pixels[k, 0]), float(scene.pixels[k, 1])), float(far[k]))
         for k in np.argsort(-far, kind="stable")[: np.count_nonzero(far)]
     ]
-    kept = scene.with_points(far == 0) if off else scene
-    return Start(kept, begin.placed, image_rms(kept, begin.placed) if off else begin.rms), tuple(off)
+    return Start(scene.with_points(far == 0), begin.placed), tuple(off)
 
 
 def fitting_images(scene: BoardScene, begin: Start, intrinsics: FloatArray | None, lens: str) -> BoolArray:

@@ -226,17 +226,8 @@ def _group(a: Assessment, k: int) -> dict[str, object]:
 
 
 def _parameter_rows(a: Assessment) -> list[dict[str, Any]]:
-    return [
-        {
-            "name": parameter.name,
-            "unit": parameter.unit,
-            "sigma": parameter.sigma,
-            "prior": parameter.prior,
-            "std": float(std) * parameter.per_si,
-            "part": float(part),
-        }
-        for parameter, std, part in zip(a.free_parameters, a.std, a.part_left, strict=True)
-    ]
+    rows = zip(a.rows(), a.free_parameters, a.part_left, strict=True)
+    return [row | {"prior": parameter.prior, "part": float(part)} for row, parameter, part in rows]
 
 
 _POSES = ("--sigma-mm", "--parameters", "--result", "--task")

@@ -269,14 +269,13 @@ def _read_detected(path: str, board: Board) -> list[DetectedImage]:
             f"{path}, line {table.lines[strange]}, column 'point': the board has no point '{points[strange]}'"
             f"{nearest(points[strange], known)}"
         )
-    result = []
-    for name in dict.fromkeys(names):
-        rows = [k for k, other in enumerate(names) if other == name]
-        twice = next((points[k] for k in rows if [points[j] for j in rows].count(points[k]) > 1), None)
-        if twice is not None:
-            raise DataError(f"{path}: image {name} has point {twice} twice")
-        result.append(DetectedImage(name, (int(size[1]), int(size[2])), tuple(points[k] for k in rows), pixels[rows]))
-    return result
+    images: dict[str, dict[str, FloatArray]] = {name: {} for name in names}
+    for name, point, place in zip(names, points, pixels, strict=True):
+        if point in images[name]:
+            raise DataError(f"{path}: image {name} has point {point} twice")
+        images[name][point] = place
+    whole = int(size[1]), int(size[2])
+    return [DetectedImage(name, whole, tuple(seen), np.array([*seen.values()])) for name, seen in images.items()]
 
 
 def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedImage], small: dict[str, bytes]) -> bytes:

@@ -22,7 +22,7 @@ def why_unchecked(robot: Robot) -> str:
     description = robot.description
     if description.obstacles == UNCHECKED:
         return f"the description says 'obstacles: {UNCHECKED}'"
-    stated = [description.obstacles, description.sight]
+    stated: list[object] = [description.obstacles, description.sight]
     stated += [each for target in description.targets.values() for each in (target.shape, target.acceptance)]
     if any(each is not None for each in stated):
         return ""

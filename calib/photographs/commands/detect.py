@@ -21,7 +21,7 @@ from calib.photographs.detection import DetectedImage, Detection, detect
 from calib.photographs.estimation import LITTLE_TURN, turning
 from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.opencv import GreyImage
-from calib.photographs.pages import Picture, figure, small_copy
+from calib.photographs.pages import figure, small_copy
 from calib.photographs.scene import scene_of
 from calib.pictures import installed
 
@@ -63,7 +63,7 @@ def command(
         figures = []
         for image, copy in zip(detection.images, small, strict=True):
             caption = image.remark or count_noun(len(image.points), "point")
-            figures.append((-1, figure(Picture(image, copy, caption, not image.usable))))
+            figures.append((-1, figure(image, copy, caption, is_outlying=not image.usable)))
         title = f"Photographs of a board: {detection.board}"
         output.write(page_file, installed("--page").answer(detection, title, "\n".join(lines), figures))
     for line in lines:

@@ -30,7 +30,7 @@ from calib.photographs.hand_eye_result import Frames, as_json, content, files, j
 from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.lens_choice import LENSES
 from calib.photographs.mistakes import Mistake
-from calib.photographs.pages import Picture, exaggeration, figure
+from calib.photographs.pages import exaggeration, figure
 from calib.photographs.pose_pairs import PosePairs, solve_pairs
 from calib.photographs.pose_pairs_result import content_of_pairs, judge_pairs, report_pairs
 from calib.photographs.scene import Mount, scene_of
@@ -289,10 +289,10 @@ def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedIma
         arrows = scene.pixels[points] + factor * result.pixels[points]
         shown = replace(images[name], pixels=scene.pixels[points])
         caption = f"{each[i]:.2f} px, {on[i]:.2f} mm on the board"
-        figures.append((i, figure(Picture(shown, small.get(name, b""), caption, arrows=arrows))))
+        figures.append((i, figure(shown, small.get(name, b""), caption, arrows)))
     for image in result.outlying_images:  # they belong to no mark of a plot
         caption = f"left out: {image.rms:.1f} px off"
-        figures.append((-1, figure(Picture(images[image.name], small.get(image.name, b""), caption, True))))
+        figures.append((-1, figure(images[image.name], small.get(image.name, b""), caption, is_outlying=True)))
     text = f"Arrows: from where points were found to where they should be, {factor:g} times as long"
     text += "".join(f"\n{number.value}: counts {', '.join(names_of(own))}" for number, own in result.contains.items())
     return installed("--html").answer(result, "Hand-eye calibration", f"{report(result, frames)}\n{text}", figures)

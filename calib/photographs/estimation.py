@@ -16,7 +16,7 @@ them, left out or not. Intervals allow for them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -53,9 +53,8 @@ class HandEyeEstimate(ReadOnlyArrays):
     Attributes:
         placed: Poses of camera and board, and intrinsics.
         unknowns: What was fitted besides the poses.
-        noise: Sizes of the errors.
+        noise: Sizes of the errors; those of the arm count in the intervals alone.
         weights: Sizes of the errors by which images are weighted; pixels alone for equal weights.
-        arm: Size of errors of lengths [m] and angles [rad] of the arm in the intervals.
         covariance: Covariance of [camera 6, board 6, intrinsics, (scale)], (k, k), in their own axes [m, rad, px, 1].
         freedom: Satterthwaite's degrees of freedom of each of them, (k,).
     """
@@ -64,7 +63,6 @@ class HandEyeEstimate(ReadOnlyArrays):
     unknowns: HandEyeUnknowns
     noise: ErrorSizes
     weights: ErrorSizes
-    arm: float
     covariance: FloatArray
     freedom: FloatArray
 
@@ -130,7 +128,7 @@ def estimate(
     linear = linearise(scene, placed, unknowns)
     require_determined(normal_equations(linear, weights)[0], scene)
     arm, covariance, freedom = intervals(linear, arm_twists(scene.tool), weights, noise)
-    return HandEyeEstimate(placed, unknowns, noise, weights, arm, covariance, freedom)
+    return HandEyeEstimate(placed, unknowns, replace(noise, arm=arm), weights, covariance, freedom)
 
 
 def plain(

@@ -229,7 +229,7 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
                    "left_out_with_given_intrinsics": result.rms_given},
         "on_board_m": {"rms": rms(result.board), "left_out": rms(result.left_out.board), "limit95": result.limit},
         "noise": {"pixel": fitted.noise.pixel, "tool_shift_m": fitted.noise.shift, "tool_turn_rad": fitted.noise.turn,
-                  "arm_m_and_rad": fitted.arm},
+                  "arm_m_and_rad": fitted.noise.arm},
         "weighed": result.weighed,
         "images": [
             {"name": name, "points": int(n), "rms_px": px, "left_out_px": lpx, "rms_m": mm, "left_out_m": lmm}

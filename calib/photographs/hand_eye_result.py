@@ -59,11 +59,8 @@ class HandEyeJudgement:
 
     def lines(self) -> list[str]:
         """Return the grade and the reasons in words."""
-        heads = [self.grade, *["     "] * (len(self.reasons) - 1)][: len(self.reasons)]
-        return [
-            f"Verdict: {self.grade}",
-            *(f"  {head}: {text}" for head, text in zip(heads, self.reasons, strict=True)),
-        ]
+        texts = [f"  {'     ' if k else self.grade}: {text}" for k, text in enumerate(self.reasons)]
+        return [f"Verdict: {self.grade}", *texts]
 
     def content(self) -> dict[str, object]:
         """Return the judgement as data."""

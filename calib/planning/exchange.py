@@ -181,7 +181,7 @@ def swap(done: Exchange, spacing: Spacing) -> Exchange:
     for _ in range(_MAX_PASSES):
         before = state.value
         for removed in np.flatnonzero(chosen):
-            if not state.spares(int(removed)):
+            if not state.spares(np.array([removed]))[0]:
                 continue
             chosen[removed] = False
             smaller = state.after_move(int(removed), add=False)

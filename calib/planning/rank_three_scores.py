@@ -18,9 +18,9 @@ from typing import Self
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.numerics import linalg
-from calib.planning.selection_problem import PoseRedundancy, SelectionProblem
+from calib.planning.selection_problem import DETERMINED, SelectionProblem
 
 _REFRESH = 32  # moves after which the determinant's small matrices are recomputed, against rounding
 _UPDATED = 1e-6  # least det(I - G) for an update; near zero, the update would lose too many digits
@@ -47,13 +47,27 @@ class Scores(ABC):
         rows = self.problem.rows[candidate]
         return replace(self, gathered=self.gathered + (1.0 if add else -1.0) * rows.T @ rows)
 
-    def spares(self, candidate: int) -> bool:
-        """Return whether every direction stays determined without this chosen candidate."""
-        return bool(self._sparing.spares(self.problem.rows[[candidate]])[0])
+    def spares(self, candidates: IntArray) -> BoolArray:
+        """Return which of the chosen candidates (n,) can each go while every direction stays determined, (n,)."""
+        whiten, least = self._redundancy
+        seen = self.problem.rows[candidates] @ whiten
+        left = np.eye(seen.shape[1]) - seen @ seen.transpose(0, 2, 1)
+        return np.asarray(linalg.eigvalsh(left)[:, 0] > least)
 
     @cached_property
-    def _sparing(self) -> PoseRedundancy:
-        return PoseRedundancy.from_choice(self.gathered)
+    def _redundancy(self) -> tuple[FloatArray, float]:
+        """X with X^T K X = I, (r, r), and the part of its information that every direction must keep.
+
+        With the diagonal of K scaled to ones, B K^-1 B^T is exact to about r eps times its condition number, so smaller
+        parts count as zero. For a singular K no pose is spared.
+        """
+        diagonal = np.diag(self.gathered)
+        scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
+        values, vectors = linalg.eigh(scale[:, None] * self.gathered * scale)
+        rounding = len(values) * float(np.finfo(float).eps) * float(values[-1])
+        if not values[0] > rounding:
+            return np.zeros_like(self.gathered), 1.0
+        return scale[:, None] * vectors / np.sqrt(values), max(DETERMINED, rounding / float(values[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +179,7 @@ class TaskScores(Scores):
         seen, task_rows = self._task_products
         candidates = np.flatnonzero(allowed)
         small = np.eye(seen.shape[1]) - seen[candidates]
-        solvable = self._sparing.spares(self.problem.rows[candidates])
+        solvable = self.spares(candidates)
         if not np.any(solvable):
             return int(candidates[0])
         candidates, small = candidates[solvable], small[solvable]

@@ -155,7 +155,7 @@ def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray |
         mean, covariance, estimates, spreads = _estimate_given_variance(results, variance)
         seen = np.sum(np.maximum(1.0 - spreads / variance, 0.0), axis=0)
         squares = np.sum(estimates**2, axis=0)
-        means = np.bincount(kinds, np.log(variance)) / np.bincount(kinds)
+        means = np.array([np.mean(np.log(variance[kinds == kind])) for kind in range(np.max(kinds) + 1)])
         typical = np.maximum(np.exp(means), _SMALLEST**2)[kinds]
         again = (_WEIGHT * typical + squares) / (_WEIGHT + seen)
         change, variance = float(np.max(np.abs(again / variance - 1.0))), again

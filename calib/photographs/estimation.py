@@ -124,9 +124,9 @@ def estimate(
         weights = noise
     else:
         placed, weights = plain(scene, start, unknowns)
-        noise = find_noise(linearise(scene, placed, unknowns), near)
     linear = linearise(scene, placed, unknowns)
     require_determined(normal_equations(linear, weights)[0], scene)
+    noise = weights if weighed else find_noise(linear, near)
     arm, covariance, freedom = intervals(linear, arm_twists(scene.tool), weights, noise)
     return HandEyeEstimate(placed, unknowns, replace(noise, arm=arm), weights, covariance, freedom)
 

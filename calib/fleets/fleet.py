@@ -11,9 +11,11 @@ from typing import Literal
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.contributions import Contribution, Contributions, Uncertainty, names_of
 from calib.core.base.errors import DataError, InputError, nearest
 from calib.core.base.files import write_files
 from calib.core.base.parameter import Parameter
+from calib.core.base.sections import COMPONENTS
 from calib.core.base.words import as_data, count_noun, distinct_names, listing, plain_text, text_table
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.results.comparing_results import geometry
@@ -87,6 +89,7 @@ class Fleet(ReadOnlyArrays):
         values, stds: Values of each robot, with the others as its prior, (n_robots, n) [SI]; for an unlike robot, from
             its own fit.
         notes: Remarks for users.
+        contains: Contributions to `mean_std` and `stds`; empty where results do not say them.
     """
 
     robot: Robot
@@ -100,6 +103,7 @@ class Fleet(ReadOnlyArrays):
     values: FloatArray
     stds: FloatArray
     notes: tuple[str, ...]
+    contains: Contributions = frozenset()
 
     def __repr__(self) -> str:
         odd = [member.name for member in self.members if member.is_unlike]
@@ -136,7 +140,8 @@ class Fleet(ReadOnlyArrays):
                 parameter.name, parameter.unit, f"{parameter.sigma:.4g}", *cells, f"{self.n_determined[k]:.1f}"
             )
         less = _hidden_count_lines(len(away) - len(shown), "parameter", "differ less clearly from nominal")
-        ending = ("\n" + self.conclusion(), *self.notes)
+        counted = [f"Uncertainty of means: counts {', '.join(names_of(self.contains))}"] if verbose else []
+        ending = ("\n" + self.conclusion(), *self.notes, *counted)
         return plain_text([robots, *others, "", table, *less, *ending], _WIDTH, wrap=True)
 
     def conclusion(self) -> str:
@@ -153,23 +158,10 @@ class Fleet(ReadOnlyArrays):
         """Return the fleet for `--json`, in the units of tables; null for missing numbers."""
         rows = []
         for k, parameter in enumerate(self.parameters):
-            numbers = {"nominal": self.nominal[k], "mean": self.mean[k], "mean_std": self.mean_std[k]}
-            numbers |= {"spread": self.spread[k]}
-            shown = {key: float(number) * parameter.per_si for key, number in numbers.items()}
-            values = {
-                "values": list(self.values[:, k] * parameter.per_si),
-                "stds": list(self.stds[:, k] * parameter.per_si),
-            }
-            rows.append(
-                {
-                    "name": parameter.name,
-                    "unit": parameter.unit,
-                    "sigma": parameter.sigma,
-                    **shown,
-                    "shown": self.n_determined[k],
-                    **values,
-                }
-            )
+            row = {"name": parameter.name, "unit": parameter.unit, "sigma": parameter.sigma}
+            row |= {key: getattr(self, key)[k] * parameter.per_si for key in ("nominal", "mean", "mean_std", "spread")}
+            row["shown"] = self.n_determined[k]
+            rows.append(row | {key: list(getattr(self, key)[:, k] * parameter.per_si) for key in ("values", "stds")})
         members = [
             {
                 "name": member.name,
@@ -183,7 +175,9 @@ class Fleet(ReadOnlyArrays):
             }
             for member in self.members
         ]
-        return as_data({"robots": members, "parameters": rows, "chance": FALSE_ALARM, "notes": self.notes})
+        contains = {Uncertainty.COVARIANCE.name.lower(): names_of(self.contains)}
+        every = {"robots": members, "parameters": rows, "chance": FALSE_ALARM, "notes": self.notes}
+        return as_data(every | {"contains": contains})
 
     def save(self, path: Path | str, *, force: bool = False) -> None:
         """Write the robot description with the fleet's prior, and its URDF beside it under the same name.
@@ -287,28 +281,24 @@ def _fleet(folders: Sequence[Path]) -> Fleet:
         values,
         stds,
         tuple(_notes(folders, loaded, odd)),
+        frozenset[Contribution]().union(*(result.fit.contains(Uncertainty.COVARIANCE) for result in like)),
     )
 
 
 def _shared_parameters(robots: Sequence[Robot], folders: Sequence[Path]) -> tuple[Parameter, ...]:
     """Shared parameters of the robots; an error if models or free parameters differ."""
     first = shared_parameters(robots[0])
-    names = [p.name for p in first]
-    if not names:
+    if not first:
         raise DataError(f"{folders[0]}: has no free parameters that robots share (origins, joint terms); free some")
     for robot, folder in zip(robots[1:], folders[1:], strict=True):
         if geometry(robot) != geometry(robots[0]):
             raise DataError(f"{folder}: is the result of another robot than {folders[0]}; their URDFs differ")
-        free_names = [p.name for p in shared_parameters(robot)]
-        for less, more, who, other in (
-            (free_names, names, folder, folders[0]),
-            (names, free_names, folders[0], folder),
-        ):
-            missing = next((name for name in more if name not in less), None)
-            if missing is not None:
+        both = {folders[0]: [p.name for p in first], folder: [p.name for p in shared_parameters(robot)]}
+        for less, more in ((folder, folders[0]), (folders[0], folder)):
+            if missing := [name for name in both[more] if name not in both[less]]:
                 raise DataError(
-                    f"{who}: has no free parameter '{missing}', which {other} has; fit all with the same"
-                    f" parametrisation and --terms{nearest(missing, less)}"
+                    f"{less}: has no free parameter '{missing[0]}', which {more} has; fit all with the same"
+                    f" parametrisation and --terms{nearest(missing[0], both[less])}"
                 )
     return first
 
@@ -328,17 +318,12 @@ def _require_different(results: Sequence[LoadedResult]) -> None:
 def _kinds(robot: Robot, shared: Sequence[Parameter]) -> IntArray:
     """Kind of each parameter: lengths and angles of origins, coefficients of each kind of term."""
     of_terms = {p.name for term in robot.terms for p in term.parameters}
-    origins = {p.name for p in shared if p.nominal_si or (_is_origin(p) and p.name not in of_terms)}
-    words = [f"{p.dimension} {'' if p.name in origins else _term(p)}" for p in shared]
+    words = []
+    for p in shared:
+        origin = p.name.rpartition(".")[2] in COMPONENTS and p.name not in of_terms
+        term = "" if p.nominal_si or origin else p.name.partition(".")[2].partition("_")[0]
+        words.append(f"{p.dimension} {term}")
     return np.array([list(dict.fromkeys(words)).index(word) for word in words], dtype=np.intp)
-
-
-def _is_origin(parameter: Parameter) -> bool:
-    return parameter.name.rpartition(".")[2] in ("x", "y", "z", "rx", "ry", "rz")
-
-
-def _term(parameter: Parameter) -> str:
-    return parameter.name.partition(".")[2].partition("_")[0]
 
 
 def _values_of_each(
@@ -354,12 +339,12 @@ def _values_of_each(
     values, stds = [], []
     for k, result in enumerate(results):
         if k in odd:
-            uncertainty, robot = result.uncertainty, result.robot
-            free = [p.name for p, use in zip(robot.parameters, uncertainty.free, strict=True) if use]
-            place = [free.index(name) for name in names]
-            by_name = dict(zip((p.name for p in robot.parameters), robot.values, strict=True))
-            values.append(np.array([by_name[name] for name in names]))
-            stds.append(np.sqrt(np.diag(uncertainty.covariance)[place]))
+            robot = result.robot
+            place = robot.parameters.places(names)
+            std = np.zeros(len(robot.values))
+            std[result.uncertainty.free] = np.sqrt(np.diag(result.uncertainty.covariance))
+            values.append(robot.values[place])
+            stds.append(std[place])
         else:
             estimate, deviation = next(estimates)
             values.append(nominal + scales * estimate)

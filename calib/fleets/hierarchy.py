@@ -93,6 +93,10 @@ class Hierarchy(ReadOnlyArrays):
     deviations: FloatArray
     n_determined: FloatArray
 
+    def compare(self, result: FleetEvidence) -> FleetComparison:
+        """Return the comparison of a further result with what these predict."""
+        return compare_with_fleet(result, self.mean, np.diag(self.variance) + self.covariance, self.freedom)
+
 
 @dataclass(frozen=True, eq=False)
 class FleetComparison(ReadOnlyArrays):
@@ -146,18 +150,13 @@ def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray |
         kinds: Kind of each parameter, from 0, (n,).
         start: Variances t^2 to start from, (n,).
     """
-    n, n_kinds = len(kinds), int(np.max(kinds)) + 1
-    variance = np.full(n, 0.1) if start is None else start.copy()
-    members = [kinds == kind for kind in range(n_kinds)]
-    mean, covariance, estimates, spreads = _estimate_given_variance(results, variance)
-    seen: FloatArray = np.zeros(n)
+    variance = np.full(len(kinds), 0.1) if start is None else start.copy()
     for _ in range(_ROUNDS):
         mean, covariance, estimates, spreads = _estimate_given_variance(results, variance)
         seen = np.sum(np.maximum(1.0 - spreads / variance, 0.0), axis=0)
         squares = np.sum(estimates**2, axis=0)
-        typical = np.empty(n)
-        for kind in members:
-            typical[kind] = max(float(np.exp(np.mean(np.log(variance[kind])))), _SMALLEST**2)
+        means = np.array([np.mean(np.log(variance[kinds == kind])) for kind in range(np.max(kinds) + 1)])
+        typical = np.maximum(np.exp(means), _SMALLEST**2)[kinds]
         again = (_WEIGHT * typical + squares) / (_WEIGHT + seen)
         change, variance = float(np.max(np.abs(again / variance - 1.0))), again
         if change < _CONVERGED:
@@ -181,15 +180,12 @@ def _estimate_given_variance(
     n = len(variance)
     inner = [_inner(result, variance) for result in results]
     through = [a @ result.precision for a, result in zip(inner, results, strict=True)]
-    precision = np.eye(n) + sum(
-        result.precision - result.precision @ t for result, t in zip(results, through, strict=True)
-    )
+    both = list(zip(results, through, strict=True))
+    precision = np.eye(n) + sum(each.precision - each.precision @ t for each, t in both)
     covariance = np.linalg.inv((precision + precision.T) / 2)
-    mean = covariance @ sum(
-        result.information_vector - t.T @ result.information_vector for result, t in zip(results, through, strict=True)
-    )
+    mean = covariance @ sum(each.information_vector - t.T @ each.information_vector for each, t in both)
     estimates = np.array(
-        [a @ (result.information_vector - result.precision @ mean) for a, result in zip(inner, results, strict=True)]
+        [a @ (each.information_vector - each.precision @ mean) for a, each in zip(inner, results, strict=True)]
     )
     spreads = np.array([np.diag(a) + np.sum((t @ covariance) * t, axis=1) for a, t in zip(inner, through, strict=True)])
     return mean, covariance, estimates, spreads
@@ -260,13 +256,7 @@ def learn_without_odd(
         for i in indices:
             rest = [results[k] for k in kept if k != i]
             others = learn(rest, kinds, start) if len(rest) > 1 else None
-            compared.append(
-                None
-                if others is None
-                else compare_with_fleet(
-                    results[i], others.mean, np.diag(others.variance) + others.covariance, others.freedom
-                )
-            )
+            compared.append(None if others is None else others.compare(results[i]))
         p = np.array([np.nan if likeness is None else likeness.p_value() for likeness in compared])
         p[odd] = np.nan
         worst = int(np.nanargmin(p)) if np.any(np.isfinite(p)) else -1

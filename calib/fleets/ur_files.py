@@ -66,22 +66,14 @@ def result_of_calibration(path: Path | str, folder: Path) -> None:
 
 def _stock(urdf: Path) -> Robot:
     """The stock model of a type, with the origins of its moving joints free, and base and tool known."""
-    sigma, angle = (f"{scale * step / np.sqrt(12):.4f} {unit}" for step, scale, unit in
-                    zip(_STEP, (1e3, 1e3), ("mm", "mrad"), strict=True))  # fmt: skip
+    units = {"sigma": "mm", "sigma_angle": "mrad"}
+    noise = {key: f"{1e3 * step / np.sqrt(12):.4f} {units[key]}" for key, step in zip(units, _STEP, strict=True)}
     stock = robot_of(
         urdf,
         motors=JOINTS,
         base={"frame": "base_link_inertia"},
         target={"tool0": {"frame": "tool0"}},
-        instruments={
-            "maker": {
-                "kind": "pose",
-                "target": "tool0",
-                "rotation": "rotation_vector",
-                "sigma": sigma,
-                "sigma_angle": angle,
-            }
-        },
+        instruments={"maker": noise | {"kind": "pose", "target": "tool0", "rotation": "rotation_vector"}},
         parametrisation=default_sections(),
     )
     return stock.fix([p.name for p in stock.parameters if p.name.rpartition(".")[0] not in JOINTS])

@@ -44,12 +44,9 @@ def build_scene(robot: Robot) -> CollisionScene:
     """
     scene = all_shapes(robot)
     disabled = _disabled_pairs(robot)
-    bodies, pairs = scene.bodies, np.array(scene.pairs, dtype=np.intp).reshape(-1, 2)
-    names = [frozenset((bodies[a].name, bodies[b].name)) for a, b in pairs]
-    given = np.array([bodies[a].is_described or bodies[b].is_described for a, b in pairs], dtype=bool)
-    count = np.array([name not in disabled for name in names], dtype=bool) & (given | ~_adjacent(scene))
-    scene = scene.with_pairs(tuple(pair for pair, kept in zip(scene.pairs, count, strict=True) if kept))
-    return _without_permanent_contacts(scene)
+    names = [frozenset(scene.bodies[k].name for k in pair) for pair in scene.pairs]
+    kept = np.array([name not in disabled for name in names], dtype=bool) & (scene.has_described | ~_adjacent(scene))
+    return _without_permanent_contacts(scene.select_pairs(kept))
 
 
 def _adjacent(scene: CollisionScene) -> BoolArray:
@@ -71,14 +68,13 @@ def _without_permanent_contacts(scene: CollisionScene) -> CollisionScene:
         return scene
     apart = scene.distances(scene.configurations(home_and_more(scene.robot, _SAMPLES, 0))[0])
     names = [scene.name(k) for k in range(len(scene.pairs))]
-    given = np.array([scene.bodies[a].is_described or scene.bodies[b].is_described for a, b in scene.pairs], dtype=bool)
-    order = np.array([sorted(set(names)).index(name) for name in names])
+    order = np.unique(names, return_inverse=True)[1]
 
     def any_of_name(mask: BoolArray) -> BoolArray:
         return np.stack([np.any(mask[:, order == k], axis=1) for k in range(order.max() + 1)], axis=1)[:, order]
 
     near = any_of_name(apart <= 0)
-    at_home = ~given & (not np.any(exceeds_limits(scene.robot, scene.robot.home)))
+    at_home = ~scene.has_described & (not np.any(exceeds_limits(scene.robot, scene.robot.home)))
     always = np.mean(near, axis=0) >= _ALWAYS
     touching = at_home & ~always & any_of_name(apart[:1] + scene.margins <= _TOUCH)[0]
     close = at_home & ~always & ~touching & near[0]
@@ -91,9 +87,8 @@ def _without_permanent_contacts(scene: CollisionScene) -> CollisionScene:
     ):
         if listed := list(dict.fromkeys(np.array(names)[out])):
             more = f" and {count_noun(len(listed) - _SHOWN, 'further pair')}" if len(listed) > _SHOWN else ""
-            scene = scene.with_pairs(scene.pairs, f"{reason}: {', '.join(listed[:_SHOWN])}{more}")
-    kept = ~(always | touching)
-    return scene.with_pairs(tuple(pair for pair, stays in zip(scene.pairs, kept, strict=True) if stays))
+            scene = scene.with_remarks(f"{reason}: {', '.join(listed[:_SHOWN])}{more}")
+    return scene.select_pairs(~(always | touching))
 
 
 def _require_room(scene: CollisionScene, touching: FloatArray, always: BoolArray) -> None:

@@ -149,8 +149,7 @@ def _start(path: str | None, robot: Robot) -> FloatArray | None:
     poses = read_poses(path, robot)
     if len(poses) != 1:
         raise InputError(f"{path}: has {count_noun(len(poses), 'row')}; --start needs the one where the robot stands")
-    joints: FloatArray = poses.joints[0]
-    return joints
+    return np.asarray(poses.joints[0])
 
 
 def _report(route: Route) -> str:

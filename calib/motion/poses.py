@@ -12,7 +12,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.surroundings import UNCHECKED
 from calib.motion.allowed_contacts import build_scene, home_and_more
 from calib.motion.shapes import has_collision_shapes, missing_meshes
-from calib.motion.sight import Sight, build_sight
+from calib.motion.sight import Sight, sight_lines
 
 _SAMPLES = 100  # poses from which shapes that always hide a line are found
 
@@ -22,10 +22,9 @@ def why_unchecked(robot: Robot) -> str:
     description = robot.description
     if description.obstacles == UNCHECKED:
         return f"the description says 'obstacles: {UNCHECKED}'"
-    targets = description.targets.values()
-    if description.obstacles is not None or description.sight is not None:
-        return ""
-    if any(target.shape is not None or target.acceptance is not None for target in targets):
+    stated: list[object] = [description.obstacles, description.sight]
+    stated += [each for target in description.targets.values() for each in (target.shape, target.acceptance)]
+    if any(each is not None for each in stated):
         return ""
     try:
         if not has_collision_shapes(robot):
@@ -43,7 +42,7 @@ def surroundings(robot: Robot) -> Sight:
     Raises:
         DescriptionError: A mesh is missing, an SRDF is of another robot, or an obstacle surrounds the robot.
     """
-    sight = build_sight(build_scene(robot))
+    sight = Sight(build_scene(robot), tuple(sight_lines(robot)))
     if not sight.lines:
         return sight
     joints, ok = sight.scene.configurations(home_and_more(robot, _SAMPLES, 1))

@@ -139,7 +139,10 @@ def plan_route(
     if not stops:
         reasons = listing([f"{name}: {why}" for name, why in left_out.items()], "; ", 3)
         raise ComputationError(f"none of {count_noun(len(poses), 'pose')} can be visited ({reasons})")
-    rest, n_tried = (_free_others(robot, candidates, poses) if left_out else candidates), 0
+    rest, n_tried = candidates, 0
+    if left_out:  # the free ones that are none of the poses
+        rest = rest.subset(np.flatnonzero(~np.isin(rest.names, poses.names)))
+        rest = rest.subset(np.flatnonzero(np.array(_why_blocked(robot, rest.joints)) == ""))
     for _ in range(_ROUNDS):
         missing = len(left_out) - len(replaced)
         if not missing or not len(rest):
@@ -283,12 +286,6 @@ def _stop(planner: Planner, name: str, points: FloatArray) -> Stop:
     moves = [planner.move(a, b).clearance for a, b in pairwise(way)]
     pair = scene.name(nearest) if apart.size else ""
     return Stop(name, points[-1], way[1:-1], float(np.min(apart, initial=np.inf)), pair, min(moves, default=np.inf))
-
-
-def _free_others(robot: Robot, candidates: Poses, poses: Poses) -> Poses:
-    """The free candidates that are none of the poses."""
-    others = candidates.subset(np.flatnonzero(~np.isin(candidates.names, poses.names)))
-    return others.subset(np.flatnonzero(np.array(_why_blocked(robot, others.joints)) == ""))
 
 
 def _next_best(robot: Robot, rest: Poses, stops: Sequence[Stop], count: int) -> Poses:

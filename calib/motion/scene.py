@@ -54,9 +54,18 @@ class CollisionScene:
     remarks: tuple[str, ...] = ()
     without_clearance: frozenset[tuple[int, int]] = frozenset()
 
-    def with_pairs(self, pairs: Pairs, *remarks: str) -> CollisionScene:
-        """Return the scene with these pairs and further remarks."""
-        return replace(self, pairs=pairs, remarks=self.remarks + remarks)
+    def select_pairs(self, chosen: BoolArray) -> CollisionScene:
+        """Return the scene with the chosen pairs, (n_pairs,)."""
+        return replace(self, pairs=tuple(pair for pair, keep in zip(self.pairs, chosen, strict=True) if keep))
+
+    def with_remarks(self, *remarks: str) -> CollisionScene:
+        """Return the scene with further remarks."""
+        return replace(self, remarks=self.remarks + remarks)
+
+    @property
+    def has_described(self) -> BoolArray:
+        """Mask of the pairs with a shape of the description, (n_pairs,)."""
+        return np.array([any(self.bodies[k].is_described for k in pair) for pair in self.pairs], dtype=bool)
 
     def name(self, pair: int) -> str:
         """Return the name of a pair."""
@@ -156,25 +165,15 @@ class CollisionScene:
 
         `slides` are the largest values of prismatic joints, (n_joints,) [m]; other entries are unused.
         """
-        support, pairs = self.robot.mechanism.support, np.array(self.pairs, dtype=np.intp).reshape(-1, 2)
-        lengths = self._lengths + np.where(self._slides, slides, 0.0)
+        mechanism, pairs = self.robot.mechanism, np.array(self.pairs, dtype=np.intp).reshape(-1, 2)
+        support, is_slide = mechanism.support, np.linalg.norm(mechanism.axes[:, :3], axis=1) > 0.5
+        lengths = np.linalg.norm(mechanism.placements[:, 9:], axis=1) + np.where(is_slide, slides, 0.0)
         follows = support[1:] - np.eye(support.shape[1])  # [k, j]: joint j moves joint k
-        joints = np.array([body.joint for body in self.bodies])
-        radii = np.array([body.radius for body in self.bodies])
+        joints, radii = (np.array([getattr(body, key) for body in self.bodies]) for key in ("joint", "radius"))
         arms = support[joints] * ((support[joints] * lengths) @ follows + radii[:, None])
         sides = support[joints[pairs]]  # (n_pairs, 2, n_joints)
         moved = np.where(sides[:, 0] != sides[:, 1], arms[pairs[:, 0]] + arms[pairs[:, 1]], 0.0)
-        return np.where(self._slides & (moved != 0), 1.0, moved)
-
-    @cached_property
-    def _lengths(self) -> FloatArray:
-        """Length of each joint origin, (n_joints,) [m]."""
-        return np.linalg.norm(self.robot.mechanism.placements[:, 9:], axis=1)
-
-    @cached_property
-    def _slides(self) -> BoolArray:
-        """Mask of the sliding joints, (n_joints,)."""
-        return np.linalg.norm(self.robot.mechanism.axes[:, :3], axis=1) > 0.5
+        return np.where(is_slide & (moved != 0), 1.0, moved)
 
     def hits(self, q: FloatArray) -> tuple[str, ...]:
         """Return the name of the pair with the deepest collision at commands q (n, n_actuated), (n,); "" for none."""

@@ -25,7 +25,7 @@ from calib.core.base.errors import DescriptionError
 from calib.core.base.words import listing
 from calib.core.robots.mechanism import rigid
 from calib.core.robots.robot_data import RobotData
-from calib.core.robots.surroundings import UNCHECKED, ObstacleSection, ShapeSection
+from calib.core.robots.surroundings import UNCHECKED, ShapeSection
 from calib.core.robots.urdf.links import LinkShape, find_mesh, read_links
 
 _MOST_TRIANGLES = 20_000
@@ -99,8 +99,7 @@ def has_collision_shapes(robot: RobotData) -> bool:
 def is_moved_frame(robot: RobotData) -> BoolArray:
     """Mask of the frames that move relative to the root link, (n_joints + 1,)."""
     mechanism = robot.mechanism
-    result: BoolArray = mechanism.support @ np.any(mechanism.select_moving != 0, axis=1) > 0
-    return result
+    return np.asarray(mechanism.support @ np.any(mechanism.select_moving != 0, axis=1) > 0)
 
 
 def _links(robot: RobotData) -> tuple[list[Body], tuple[str, ...]]:
@@ -121,10 +120,8 @@ def _links(robot: RobotData) -> tuple[list[Body], tuple[str, ...]]:
     remarks = (
         [] if exact else ["the robot file has no collision shapes: the convex hulls of its visuals stand for them"]
     )
-    moved = set(np.flatnonzero(is_moved_frame(robot)).tolist())
-    bare = [
-        joint.child for joint in robot.urdf.joints if frames[joint.child] in moved - {body.joint for body in bodies}
-    ]
+    bare_frames = set(np.flatnonzero(is_moved_frame(robot)).tolist()) - {body.joint for body in bodies}
+    bare = [joint.child for joint in robot.urdf.joints if frames[joint.child] in bare_frames]
     bare = [name for name in bare if any(np.linalg.norm(j.xyz) > 0 for j in robot.urdf.joints if j.parent == name)]
     unread = [f"{kind} of {name}" for name, link in read.items() for kind in link.unknown_collisions]
     if unread:
@@ -150,7 +147,8 @@ def _described_bodies(robot: RobotData) -> list[Body]:
     """Obstacles, parts of the tool, and shapes at targets."""
     description, mechanism, where = robot.description, robot.mechanism, robot.path
     bodies = []
-    for name, section in described_obstacles(robot).items():
+    obstacles = description.obstacles if isinstance(description.obstacles, dict) else {}
+    for name, section in obstacles.items():
         joint = 0 if section.frame is None else _frame(robot, section.frame, f"obstacles.{name}.frame")
         if section.plane and is_moved_frame(robot)[joint]:
             raise DescriptionError(f"{where}: obstacles.{name}: a plane cannot move with '{section.frame}'; give a box")
@@ -162,12 +160,6 @@ def _described_bodies(robot: RobotData) -> list[Body]:
             solid = _solid_of_section(target.shape, f"{where}: targets.{name}.shape")
             bodies.append(_body(name, mechanism.places[name], place, solid, description.self_clearance, given=True))
     return bodies
-
-
-def described_obstacles(robot: RobotData) -> dict[str, ObstacleSection]:
-    """Return the obstacles of a robot's description by name."""
-    obstacles = robot.description.obstacles
-    return obstacles if isinstance(obstacles, dict) else {}
 
 
 def _frame(robot: RobotData, name: str, where: str) -> int:

@@ -8,6 +8,7 @@ in a remark.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -115,28 +116,23 @@ class Sight:
 
     def without_ends(self, joints: FloatArray) -> Sight:
         """Return the lines without shapes that hide them in nearly all configurations (n, n_joints), with remarks."""
-        count: dict[tuple[str, str], int] = {}
+        count = Counter[tuple[str, str]]()
         for q in joints:
             for line, ends, _ in list(self._lines_in_root(q)):
-                for body in dict.fromkeys(self.shapes_hiding(line, ends)):
-                    count[line.name, body] = count.get((line.name, body), 0) + 1
+                count.update({(line.name, body) for body in self.shapes_hiding(line, ends)})
         ends_in = frozenset(key for key, n in count.items() if n >= _ALWAYS * len(joints))
         remarks = [
             f"{body} nearly always hides {line}, so it is not checked for that line" for line, body in sorted(ends_in)
         ]
-        return Sight(self.scene.with_pairs(self.scene.pairs, *remarks), self.lines, ends_in)
+        return Sight(self.scene.with_remarks(*remarks), self.lines, ends_in)
 
 
 def _touches(shape: Any, T: Any, beam: Any, place: Any) -> bool:
     return float(coal.distance(shape, T, beam, place, coal.DistanceRequest(), coal.DistanceResult())) <= 0
 
 
-def build_sight(scene: CollisionScene) -> Sight:
-    """Return the lines of sight of a robot's instruments."""
-    return Sight(scene, tuple(_lines(scene.robot)))
-
-
-def _lines(robot: Robot) -> Iterator[SightLine]:
+def sight_lines(robot: Robot) -> Iterator[SightLine]:
+    """Yield the lines of sight of a robot's instruments."""
     mechanism, description = robot.mechanism, robot.description
     stand = description.sight
     for instrument in robot.instruments:
@@ -163,5 +159,4 @@ def _points_seen(instrument: FrameInstrument) -> FloatArray:
         return np.zeros((1, 3))
     points = np.array(list(instrument.points_of_body.values()))
     across = points[:, :2] @ np.array([[1.0, 1.0], [1.0, -1.0]])
-    outermost: FloatArray = points[np.unique([*across.argmin(axis=0), *across.argmax(axis=0)])]
-    return outermost
+    return points[np.unique([*across.argmin(axis=0), *across.argmax(axis=0)])]

@@ -174,7 +174,7 @@ def point_errors(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...
         return np.asarray(len(sizes) * scipy.special.fdtrc(2, freedom / 2, (size / scale) ** 2 / 2))
 
     for i in alone.images:
-        image = scene.select_images(np.arange(len(scene)) == i)
+        image = scene.image_alone(i)
         far[scene.image == i] = _errors_in_image(image, alone.placed.intrinsics, chances)
     return far
 
@@ -198,8 +198,8 @@ def _errors_in_image(
 
 def _studentised_residuals(alone: FreeBoards) -> FloatArray:
     """Residuals over the part of the noise that a free pose leaves in them, (m,) [px]."""
-    r, _, g = rows(alone.scene, alone.placed, ())
-    inverse = np.linalg.inv(linearise(alone.scene, alone.placed, ()).gg)[alone.scene.image]
+    r, _, g = rows(alone.scene, alone.placed)
+    inverse = np.linalg.inv(linearise(alone.scene, alone.placed).gg)[alone.scene.image]
     left = np.eye(2) - g @ inverse @ g.transpose(0, 2, 1)
     values, vectors = linalg.eigh(left)
     turned = np.einsum("mba,mb->ma", vectors, r)

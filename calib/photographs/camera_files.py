@@ -49,7 +49,9 @@ def read_camera(path: Path | str) -> CameraFile:
     if not isinstance(content, dict):
         raise DescriptionError(f"{path}: holds no {_WANTED}")
     _check_model(content, path)
-    intrinsics = np.array([*_pinhole(content, path), *_distortion(content, path)])
+    inner = content.get("intrinsics")
+    named = inner if isinstance(inner, dict) else content
+    intrinsics = np.array([*_pinhole(content, named, path), *_distortion(content, named, path)])
     if not (intrinsics[0] > 0 and intrinsics[1] > 0 and np.all(np.isfinite(intrinsics))):
         raise DescriptionError(f"{path}: focal lengths must be positive, and all intrinsics finite")
     return CameraFile(intrinsics, _size(content, path))
@@ -79,9 +81,7 @@ def _first(content: Mapping[str, Any], *keys: str) -> tuple[str, Any]:
     return next(((key, content[key]) for key in keys if content.get(key) is not None), ("", None))
 
 
-def _pinhole(content: Mapping[str, Any], path: Path | str) -> list[float]:
-    inner = content.get("intrinsics")
-    named = inner if isinstance(inner, dict) else content
+def _pinhole(content: Mapping[str, Any], named: Mapping[str, Any], path: Path | str) -> list[float]:
     if all(key in named for key in NAMES[:4]):
         return _numbers([named[key] for key in NAMES[:4]], path, "fx, fy, cx, cy")
     key, matrix = _first(content, "camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k", "camera_matrix_left")
@@ -95,9 +95,7 @@ def _pinhole(content: Mapping[str, Any], path: Path | str) -> list[float]:
     return [numbers[0], numbers[4], numbers[2], numbers[5]]
 
 
-def _distortion(content: Mapping[str, Any], path: Path | str) -> list[float]:
-    inner = content.get("intrinsics")
-    named = inner if isinstance(inner, dict) else content
+def _distortion(content: Mapping[str, Any], named: Mapping[str, Any], path: Path | str) -> list[float]:
     if any(key in named and not isinstance(named[key], (list, dict)) for key in NAMES[4:]):
         return _numbers([named.get(key, 0.0) for key in NAMES[4:]], path, "k1, k2, p1, p2, k3")
     key, given = _first(
@@ -113,14 +111,14 @@ def _distortion(content: Mapping[str, Any], path: Path | str) -> list[float]:
 
 
 def _size(content: Mapping[str, Any], path: Path | str) -> tuple[int, int] | None:
-    pairs = [
-        (content.get("image_width"), content.get("image_height")),
-        (content.get("width"), content.get("height")),
-    ]
-    if isinstance(content.get("image"), (list, tuple)) and len(content["image"]) == 2:
-        pairs.append(tuple(content["image"]))
-    if isinstance(content.get("image"), dict):
-        pairs.append((content["image"].get("width"), content["image"].get("height")))
+    pairs, image = (
+        [(content.get(f"{of}width"), content.get(f"{of}height")) for of in ("image_", "")],
+        content.get("image"),
+    )
+    if isinstance(image, (list, tuple)) and len(image) == 2:
+        pairs.append(tuple(image))
+    if isinstance(image, dict):
+        pairs.append((image.get("width"), image.get("height")))
     for width, height in pairs:
         if width is not None and height is not None:
             try:

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count, islice
 from typing import Any
 
@@ -116,11 +117,9 @@ def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Itera
         else:
             shown = [detector.find(name, image) for detector in detectors]
             if not any(detected.usable or "first_row" in detected.remark for detected in shown):
-                ahead = (
-                    detectors[0]
-                    if len(detectors) == 1
-                    else max(detectors, key=lambda detector: detector.n_mirrored_points(image))
-                )
+                ahead = detectors[0]
+                if len(detectors) > 1:
+                    ahead = max(detectors, key=lambda detector: detector.n_mirrored_points(image))
                 shown = [ahead.with_remark(shown[0], image)] * len(layouts)
         for of_layout, detected in zip(each, shown, strict=True):
             of_layout.append(detected)
@@ -163,28 +162,21 @@ class _Detector:
         if 4 * (len(points) - len(kept)) > len(points) and self._other_columns(image):
             kept = {}
         pixels = np.array(list(kept.values())).reshape(-1, 2)
-        edge = edge_width(image, pixels) if len(kept) >= FEWEST else float("nan")
-        remark = "" if len(kept) >= FEWEST else "no board found"
-        off, points = len(points) - len(kept), kept
+        enough, off = len(kept) >= FEWEST, len(points) - len(kept)
+        edge, remark = (edge_width(image, pixels), "") if enough else (float("nan"), "no board found")
         if edge > _BLURRED:
             remark = f"blurred: edges are {edge:.0f} px wide"
         elif off:
             remark = f"{count_noun(off, 'point')} left out: they do not fit the board as placed by the other points"
-        elif len(points) >= FEWEST and self.board.dictionary:
-            remark = self._strangers(_marker_numbers(image, self.board.dictionary))
-        return DetectedImage(name, (image.shape[1], image.shape[0]), tuple(points), pixels, remark, edge)
+        elif enough and self.board.dictionary:
+            remark = self._strangers(_detected_markers(image, self.board.dictionary)[1])
+        return DetectedImage(name, (image.shape[1], image.shape[0]), tuple(kept), pixels, remark, edge)
 
     def points(self, image: GreyImage) -> dict[str, FloatArray]:
         """Return the detected points of an image, by name."""
-        if self.board.kind == "chessboard":
-            return _chessboard(self.board, image)
-        if self.board.kind == "circles":
-            return _circles(self.board, image)
-        if self.board.kind == "dots":
-            return _dots(self.board, image)
         if self.board.kind == "charuco":
             return _charuco(self._board, image)
-        return _markers(self.board, image, self.board.dictionary or "")
+        return _WITHOUT_MARKERS.get(self.board.kind, _markers)(self.board, image)
 
     def n_mirrored_points(self, image: GreyImage) -> int:
         """Return the number of points in the mirror image; 0 for a board without markers, which is symmetric."""
@@ -206,7 +198,7 @@ class _Detector:
                 or "; without markers it is found only if all of it is in the image"
                 + (", and if the dot of one corner is larger than the others" if board.kind == "dots" else "")
             )
-        markers, columns = _marker_numbers(image, board.dictionary), self._other_columns(image)
+        markers, columns = _detected_markers(image, board.dictionary)[1], self._other_columns(image)
         if columns:
             return f"{few}: its {count_noun(len(set(markers)), 'marker')} fit {columns}; correct columns and rows"
         if mirrored:
@@ -228,7 +220,7 @@ class _Detector:
         others = [self._suspect] if self._suspect else _other_counts(self.board) if self._tries > 0 else ()
         self._tries -= 1
         for other, noun in others:
-            find = {"chessboard": lambda b, i: _chessboard(b, i, quick=True), "dots": _dots}.get(other.kind, _circles)
+            find = partial(_chessboard, quick=True) if other.kind == "chessboard" else _WITHOUT_MARKERS[other.kind]
             corners = find(other, image)
             if len(corners) >= FEWEST:
                 self._suspect = other, noun
@@ -264,9 +256,8 @@ class _Detector:
         other = "bottom" if self.board.first_row == "top" else "top"
         if self.board.kind not in ("aruco", "apriltag"):
             return ""
-        if len(points_on_one_plane(self.board.model_copy(update={"first_row": other}), points)) < _FITTING * len(
-            points
-        ):
+        numbered = self.board.model_copy(update={"first_row": other})
+        if len(points_on_one_plane(numbered, points)) < _FITTING * len(points):
             return ""
         return f"its markers are counted from the {other} row; write first_row: {other} into the board"
 
@@ -350,13 +341,9 @@ def _detected_markers(image: GreyImage, name: str) -> tuple[list[FloatArray], li
     return [np.asarray(quad, dtype=float).reshape(4, 2) for quad in corners], [int(k) for k in np.ravel(numbers)]
 
 
-def _marker_numbers(image: GreyImage, name: str) -> list[int]:
-    return _detected_markers(image, name)[1]
-
-
-def _markers(board: Board, image: GreyImage, name: str) -> dict[str, FloatArray]:
+def _markers(board: Board, image: GreyImage) -> dict[str, FloatArray]:
     board_numbers = marker_numbers(board)
-    corners, numbers = _detected_markers(image, name)
+    corners, numbers = _detected_markers(image, board.dictionary or "")
     return {
         f"m{number}.{k}": places[k]
         for places, number in sorted(zip(corners, numbers, strict=True), key=lambda pair: pair[1])
@@ -373,12 +360,10 @@ def _dictionary_in(image: GreyImage) -> str:
     """
     best, most = "", 2
     for family, sizes in sorted(dictionary_families().items()):
-        numbers = _marker_numbers(image, f"{family}{sizes[-1]}")
-        if len(set(numbers)) > most:
-            best, most = (
-                f"{family}{next(size for size in sizes if not size or int(size[1:]) > max(numbers))}",
-                len(set(numbers)),
-            )
+        numbers = set(_detected_markers(image, f"{family}{sizes[-1]}")[1])
+        if len(numbers) > most:
+            smallest = next(size for size in sizes if not size or int(size[1:]) > max(numbers))
+            best, most = f"{family}{smallest}", len(numbers)
     return best
 
 
@@ -397,7 +382,7 @@ def _chessboard(board: Board, image: GreyImage, *, quick: bool = False) -> dict[
     contrasts = [_contrast(board, image, way) for way in ways]
     if abs(contrasts[0] - contrasts[1]) < 5:  # grey values: the colours of the squares are unclear
         return {}
-    return {f"c{k}": place for k, place in enumerate(ways[int(np.argmax(contrasts))])}
+    return _numbered(ways[int(np.argmax(contrasts))])
 
 
 def _from_the_front(grid: FloatArray) -> FloatArray:
@@ -419,16 +404,15 @@ def _contrast(board: Board, image: GreyImage, pixels: FloatArray) -> float:
 
 
 def _circles(board: Board, image: GreyImage) -> dict[str, FloatArray]:
-    cv2 = opencv()
-    done, centres = cv2.findCirclesGrid(
-        image,
-        (board.columns, board.rows),
-        flags=cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING,
-        blobDetector=_blobs(image),
-    )
-    if not done:
-        return {}
-    return {f"c{k}": place for k, place in enumerate(np.asarray(centres, dtype=float).reshape(-1, 2))}
+    cv2, blobs = opencv(), _blobs(image)
+    flags = cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
+    done, centres = cv2.findCirclesGrid(image, (board.columns, board.rows), flags=flags, blobDetector=blobs)
+    return _numbered(np.asarray(centres, dtype=float).reshape(-1, 2)) if done else {}
+
+
+def _numbered(places: FloatArray) -> dict[str, FloatArray]:
+    """Points (n, 2) by the names of corners and dots."""
+    return {f"c{k}": place for k, place in enumerate(places)}
 
 
 def _blobs(image: GreyImage) -> Any:
@@ -458,7 +442,10 @@ def _dots(board: Board, image: GreyImage) -> dict[str, FloatArray]:
     size = [float(sizes[np.argmin(np.linalg.norm(places - way[0, 0], axis=1))]) for way in ways]
     if max(size) < _LARGER * float(np.median(sizes)):
         return {}
-    return {f"c{k}": place for k, place in enumerate(ways[int(np.argmax(size))].reshape(-1, 2))}
+    return _numbered(ways[int(np.argmax(size))].reshape(-1, 2))
+
+
+_WITHOUT_MARKERS = {"chessboard": _chessboard, "circles": _circles, "dots": _dots}
 
 
 def _other_counts(board: Board) -> Iterator[tuple[Board, str]]:

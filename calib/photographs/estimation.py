@@ -16,19 +16,26 @@ them, left out or not. Intervals allow for them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.core.numerics import linalg
 from calib.photographs.arm_errors import arm_twists
 from calib.photographs.intervals import intervals
-from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, plane_errors_on_board, residuals
-from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, find_noise, normal_equations
+from calib.photographs.scene import (
+    POSES,
+    BoardScene,
+    HandEyePlacement,
+    HandEyeUnknowns,
+    linearise,
+    plane_errors_on_board,
+    residuals,
+)
+from calib.photographs.shared_errors import ErrorSizes, find_noise, normal_equations
 
 LITTLE_TURN = np.deg2rad(15)
 """Photographs hardly determine the camera's pose if rotations about the second axis spread less."""
@@ -45,49 +52,37 @@ class HandEyeEstimate(ReadOnlyArrays):
 
     Attributes:
         placed: Poses of camera and board, and intrinsics.
-        free: Indices of the fitted intrinsics.
-        noise: Sizes of the errors.
+        unknowns: What was fitted besides the poses.
+        noise: Sizes of the errors; those of the arm count in the intervals alone.
         weights: Sizes of the errors by which images are weighted; pixels alone for equal weights.
-        arm: Size of errors of lengths [m] and angles [rad] of the arm in the intervals.
         covariance: Covariance of [camera 6, board 6, intrinsics, (scale)], (k, k), in their own axes [m, rad, px, 1].
         freedom: Satterthwaite's degrees of freedom of each of them, (k,).
-        scaled: Whether the size of the board was fitted.
     """
 
     placed: HandEyePlacement
-    free: tuple[int, ...]
+    unknowns: HandEyeUnknowns
     noise: ErrorSizes
     weights: ErrorSizes
-    arm: float
     covariance: FloatArray
     freedom: FloatArray
-    scaled: bool = False
 
 
 def solve(
-    scene: BoardScene,
-    start: HandEyePlacement,
-    free: Sequence[int],
-    noise: ErrorSizes,
-    prior: IntrinsicsPrior | None = None,
-    *,
-    scaled: bool = False,
-    steps: int = _STEPS,
+    scene: BoardScene, start: HandEyePlacement, unknowns: HandEyeUnknowns, noise: ErrorSizes, steps: int = _STEPS
 ) -> HandEyePlacement:
     """Return the minimum by damped Gauss-Newton steps at fixed noise."""
     placed, damping, last = start, 0.0, np.inf
-    free = list(free)
-    a, b, cost = normal_equations(linearise(scene, placed, free, scaled), noise, prior, placed.intrinsics[free])
+    a, b, cost = normal_equations(linearise(scene, placed, unknowns), noise)
     for _ in range(steps):
         scale = 1.0 / np.sqrt(np.diag(a) + 1e-300)
         inner = scale[:, None] * a * scale + (damping + 1e-14) * np.eye(len(a))
         step = -scale * np.linalg.solve(inner, scale * b)
         size = float(np.linalg.norm(step / scale)) / (1.0 + np.sqrt(cost))
-        tried = placed.step(step, free)
+        tried = placed.step(step, unknowns)
         if np.any(tried.intrinsics[:2] <= 0) or tried.scale <= 0:
             damping = max(10 * damping, 1e-3)
             continue
-        ahead = normal_equations(linearise(scene, tried, free, scaled), noise, prior, tried.intrinsics[free])
+        ahead = normal_equations(linearise(scene, tried, unknowns), noise)
         if not ahead[2] <= cost * (1 + 1e-12) + 1e-18:
             if size < 1e-9:
                 break
@@ -103,10 +98,8 @@ def solve(
 def estimate(
     scene: BoardScene,
     start: HandEyePlacement,
-    free: Sequence[int],
-    prior: IntrinsicsPrior | None = None,
+    unknowns: HandEyeUnknowns = POSES,
     *,
-    scaled: bool = False,
     weighed: bool = False,
     near: ErrorSizes | None = None,
 ) -> HandEyeEstimate:
@@ -119,50 +112,44 @@ def estimate(
         NotIdentifiableError: The images do not determine all unknowns.
         NotConvergedError: The sizes of the errors did not converge.
     """
-    free, placed, noise = tuple(free), start, near
+    placed, noise = start, near
     if weighed:
         for _ in range(_NOISE_ROUNDS):
-            linear, before = linearise(scene, placed, free, scaled), noise
-            noise = find_noise(linear, prior, placed.intrinsics[list(free)], before)
-            placed = solve(scene, placed, free, noise, prior, scaled=scaled)
+            before, noise = noise, find_noise(linearise(scene, placed, unknowns), noise)
+            placed = solve(scene, placed, unknowns, noise)
             if before is not None and np.allclose(before.sizes, noise.sizes, _NOISE_CONVERGED, 1e-12):
                 break
         else:
             raise NotConvergedError("the noise of the photographs could not be found from the residuals")
         weights = noise
     else:
-        placed, weights = plain(scene, start, free, prior, scaled=scaled)
-        noise = find_noise(linearise(scene, placed, free, scaled), prior, placed.intrinsics[list(free)], near)
-    linear, now = linearise(scene, placed, free, scaled), placed.intrinsics[list(free)]
-    require_determined(normal_equations(linear, weights, prior, now)[0], scene)
-    arm, covariance, freedom = intervals(linear, arm_twists(scene.tool), weights, noise, prior, now)
-    return HandEyeEstimate(placed, free, noise, weights, arm, covariance, freedom, scaled)
+        placed, weights = plain(scene, start, unknowns)
+    linear = linearise(scene, placed, unknowns)
+    require_determined(normal_equations(linear, weights)[0], scene)
+    noise = weights if weighed else find_noise(linear, near)
+    arm, covariance, freedom = intervals(linear, arm_twists(scene.tool), weights, noise)
+    return HandEyeEstimate(placed, unknowns, replace(noise, arm=arm), weights, covariance, freedom)
 
 
 def plain(
-    scene: BoardScene,
-    start: HandEyePlacement,
-    free: Sequence[int],
-    prior: IntrinsicsPrior | None = None,
-    *,
-    scaled: bool = False,
+    scene: BoardScene, start: HandEyePlacement, unknowns: HandEyeUnknowns = POSES
 ) -> tuple[HandEyePlacement, ErrorSizes]:
     """Return the least-squares solution with equal weights, and the noise of its residuals, by which priors count.
 
     Raises:
         NotIdentifiableError: The images do not determine all unknowns.
     """
-    placed, weights = solve(scene, start, free, ErrorSizes(), scaled=scaled) if prior is None else start, ErrorSizes()
-    for _ in range(1 if prior is None else _NOISE_ROUNDS):
-        linear = linearise(scene, placed, free, scaled)
+    has_prior, weights = bool(unknowns.free), ErrorSizes()
+    placed = start if has_prior else solve(scene, start, unknowns, weights)
+    for _ in range(_NOISE_ROUNDS if has_prior else 1):
+        linear = linearise(scene, placed, unknowns)
         left = max(float(np.sum(linear.n_rows)) - linear.jr.shape[1], 1.0)
         before, weights = weights, ErrorSizes(max(float(np.sqrt(np.sum(linear.rr) / left)), 1e-6))
-        if prior is not None:
-            placed = solve(scene, placed, free, weights, prior, scaled=scaled)
+        if has_prior:
+            placed = solve(scene, placed, unknowns, weights)
         if abs(before.pixel - weights.pixel) < _NOISE_CONVERGED * weights.pixel:
             break
-    linear = linearise(scene, placed, free, scaled)
-    require_determined(normal_equations(linear, weights, prior, placed.intrinsics[list(free)])[0], scene)
+    require_determined(normal_equations(linearise(scene, placed, unknowns), weights)[0], scene)
     return placed, weights
 
 
@@ -200,20 +187,13 @@ class LeftOutImages(ReadOnlyArrays):
 
 
 def predict_left_out_images(
-    scene: BoardScene,
-    placed: HandEyePlacement,
-    free: Sequence[int],
-    weights: ErrorSizes,
-    prior: IntrinsicsPrior | None = None,
-    *,
-    scaled: bool = False,
+    scene: BoardScene, placed: HandEyePlacement, unknowns: HandEyeUnknowns, weights: ErrorSizes
 ) -> LeftOutImages:
     """Return the errors of each image against a fit of the others, at fixed weights."""
     pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
     for i in range(len(scene)):
-        only: BoolArray = np.arange(len(scene)) == i
-        part, in_image = scene.select_images(only), scene.image == i
-        without = solve(scene.select_images(~only), placed, free, weights, prior, scaled=scaled, steps=6)
+        part, in_image = scene.image_alone(i), scene.image == i
+        without = solve(scene.select_images(np.arange(len(scene)) != i), placed, unknowns, weights, steps=6)
         pixels[in_image], board[in_image] = residuals(part, without), plane_errors_on_board(part, without)
     return LeftOutImages(pixels, board)
 

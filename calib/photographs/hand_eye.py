@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.contributions import Contribution, Contributions, Uncertainty
 from calib.photographs.estimation import HandEyeEstimate, LeftOutImages, rms
 from calib.photographs.images_off import OffImage, OffPoint
 from calib.photographs.mistakes import Mistake
@@ -43,6 +44,12 @@ class HandEye(ReadOnlyArrays):
     weighed: bool
 
     @property
+    def contains(self) -> dict[Uncertainty, Contributions]:
+        """Contributions to the intervals of camera and board, and to `limit`."""
+        of_poses = frozenset({Contribution.NOISE, Contribution.SCATTER, Contribution.JOINT_ERRORS})
+        return {Uncertainty.POSITION: of_poses, Uncertainty.CLAIM: frozenset({Contribution.LEFT_OUT})}
+
+    @property
     def pixels(self) -> FloatArray:
         """Predicted minus detected pixels, (m, 2) [px]."""
         return residuals(self.scene, self.fitted.placed)
@@ -55,11 +62,11 @@ class HandEye(ReadOnlyArrays):
     @property
     def lens_found(self) -> bool:
         """Whether intrinsics were fitted."""
-        return bool(self.fitted.free)
+        return bool(self.fitted.unknowns.free)
 
     def rms_by_image(self, errors: FloatArray) -> FloatArray:
         """Return the root mean square of errors (m, 2) of each image, (n,)."""
-        return np.sqrt(self.scene.sums(np.sum(errors**2, axis=1)) / self.scene.counts)
+        return self.scene.rms_by_image(errors)
 
     @property
     def distance(self) -> float:

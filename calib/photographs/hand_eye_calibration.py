@@ -14,6 +14,7 @@ images, a smaller gain is too often chance, and then new images are predicted wo
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,7 @@ from calib.photographs.camera_alone import LEAST_IMAGES, camera_alone, intrinsic
 from calib.photographs.estimation import LeftOutImages, estimate, predict_left_out_images, rms
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.images_off import fitting_images, fitting_points, images_far_off
-from calib.photographs.lens_choice import lens_choices, lens_prior, unlikely
+from calib.photographs.lens_choice import lens_choices, unlikely
 from calib.photographs.mistakes import find_mistakes
 from calib.photographs.scene import BoardScene, Mount
 from calib.photographs.starts import Start, start
@@ -67,32 +68,27 @@ def calibrate(
     off = images_far_off(cleaned, kept, begin)
     kept_scene = cleaned.select_images(kept)
     tell(2, 5)
-    prior = lens_prior(first, kept_scene, first is intrinsics)
-    choices = lens_choices(kept_scene, begin.placed, prior, intrinsics, lens)
-    chosen = choices[0]
-    better = chosen
+    choices = lens_choices(kept_scene, begin.placed, first, intrinsics, lens)
+    better = choices[0]
     for other in choices[1:]:
         if _gain(better.left_out, other.left_out, len(kept_scene)) > _GAIN:
             better = other
     chosen = choices[0] if lens == "given" else better
-    rms_given = float("nan") if choices[0].free else rms(choices[0].left_out.pixels)
+    rms_given = float("nan") if choices[0].unknowns.free else rms(choices[0].left_out.pixels)
     tell(3, 5)
-    fitted, left = estimate(kept_scene, chosen.placed, chosen.free, chosen.prior), chosen.left_out
-    used, weighed = chosen.prior, False
+    fitted, left, weighed = estimate(kept_scene, chosen.placed, chosen.unknowns), chosen.left_out, False
     if fitted.noise.shift > 0 or fitted.noise.turn > 0:
-        try:
-            other_fitted = estimate(kept_scene, fitted.placed, fitted.free, used, weighed=True, near=fitted.noise)
+        with suppress(ComputationError):  # weights that do not converge are not used
+            other_fitted = estimate(kept_scene, fitted.placed, fitted.unknowns, weighed=True, near=fitted.noise)
             other_left = predict_left_out_images(
-                kept_scene, other_fitted.placed, other_fitted.free, other_fitted.weights, used
+                kept_scene, other_fitted.placed, other_fitted.unknowns, other_fitted.weights
             )
             if _gain(left, other_left, len(kept_scene)) > _GAIN:
                 fitted, left, weighed = other_fitted, other_left, True
-        except ComputationError:
-            pass  # weights that do not converge are not used
     tell(4, 5)
-    alone = camera_alone(kept_scene, fitted.placed.intrinsics, fitted.free)
-    of_lens = fitted if better is chosen else estimate(kept_scene, better.placed, better.free, better.prior)
-    mistakes = find_mistakes(cleaned, kept_scene, fitted, used, intrinsics, first, of_lens, mounts)
+    alone = camera_alone(kept_scene, fitted.placed.intrinsics, fitted.unknowns.free)
+    of_lens = fitted if better is chosen else estimate(kept_scene, better.placed, better.unknowns)
+    mistakes = find_mistakes(cleaned, kept_scene, fitted, intrinsics, first, of_lens, mounts)
     tell(5, 5)
     points = tuple(point for point in points if point.image in kept_scene.names)
     return HandEye(kept_scene, fitted, left, alone, off, points, mistakes, intrinsics, rms_given, weighed)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
+from calib.core.base.contributions import Contributions, Uncertainty, names_of
 from calib.core.base.words import as_data, count_noun, listing
 from calib.core.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
 from calib.photographs.estimation import LITTLE_TURN, rms, turning
@@ -48,6 +50,22 @@ class HandEyeJudgement:
     reasons: tuple[str, ...]
     advice: tuple[str, ...]
 
+    @staticmethod
+    def from_reasons(reasons: Sequence[tuple[str, str]], advice: Sequence[str]) -> HandEyeJudgement:
+        """Return the judgement by reasons, each with its grade; the worst grade counts."""
+        ordered = sorted(reasons, key=lambda reason: ("FAIL", "CHECK", "PASS").index(reason[0]))
+        grade = ordered[0][0] if ordered else "PASS"
+        return HandEyeJudgement(grade, tuple(text for _, text in ordered), tuple(dict.fromkeys(advice)))
+
+    def lines(self) -> list[str]:
+        """Return the grade and the reasons in words."""
+        texts = [f"  {'     ' if k else self.grade}: {text}" for k, text in enumerate(self.reasons)]
+        return [f"Verdict: {self.grade}", *texts]
+
+    def content(self) -> dict[str, object]:
+        """Return the judgement as data."""
+        return {"verdict": self.grade, "reasons": list(self.reasons), "next": list(self.advice)}
+
 
 def judge(result: HandEye) -> HandEyeJudgement:
     """Return the judgement of a calibration.
@@ -55,9 +73,8 @@ def judge(result: HandEye) -> HandEyeJudgement:
     FAIL: a mistake that spoils everything. CHECK: another mistake, outlying images, too few images, or too little
     rotation. PASS: none of these, so that the error of new images is as stated.
     """
-    scene, reasons, advice = result.scene, [], []
-    failed = [mistake.text for mistake in result.mistakes if mistake.whole]
-    reasons += [mistake.text for mistake in result.mistakes if not mistake.whole]
+    scene, advice = result.scene, list[str]()
+    reasons = [mistake.text for mistake in result.mistakes if not mistake.whole]
     for image in result.outlying_images:
         reasons.append(
             f"image {image.name} is off by {image.rms:.0f} px, as if the tool were {_MM * image.shift:.1f} mm and"
@@ -98,10 +115,16 @@ def judge(result: HandEye) -> HandEyeJudgement:
             f"errors of images left out are {left / used:.1f} times those of images used: there are too few images"
         )
         advice.append("take more images")
-    grade = "FAIL" if failed else "CHECK" if reasons else "PASS"
-    if grade == "PASS" and not advice:
+    graded = [("FAIL", mistake.text) for mistake in result.mistakes if mistake.whole]
+    graded += [("CHECK", text) for text in reasons]
+    if not graded and not advice:
         advice.append("no more photographs are needed for poses like these; for work elsewhere, take some there")
-    return HandEyeJudgement(grade, tuple(failed + reasons), tuple(dict.fromkeys(advice)))
+    return HandEyeJudgement.from_reasons(graded, advice)
+
+
+def contents(contains: Mapping[Uncertainty, Contributions]) -> dict[str, list[str]]:
+    """Return the names of the contributions to each number, as `result.json` of a fit has them."""
+    return {number.name.lower(): names_of(own) for number, own in contains.items()}
 
 
 def transform(pose: FloatArray) -> dict[str, float]:
@@ -116,8 +139,7 @@ def report(result: HandEye, frames: Frames) -> str:
     scene, fitted = result.scene, result.fitted
     judgement, half = judge(result), result.uncertainty()
     lines = [f"Hand-eye calibration of {count_noun(len(scene), 'image')}: camera {SIDES[scene.mount]}"]
-    lines.append(f"Verdict: {judgement.grade}")
-    lines += [f"  {judgement.grade if k == 0 else '     '}: {text}" for k, text in enumerate(judgement.reasons)]
+    lines += judgement.lines()
     if judgement.grade != "FAIL":
         lines.append(
             f"Points of new images like these are {_MM * rms(result.left_out.board):.3f} mm off on the board,"
@@ -148,14 +170,11 @@ def report(result: HandEye, frames: Frames) -> str:
     else:
         lines.append("Lens: as given")
     if result.lens_found:
-        numbers = zip(fitted.free, np.sqrt(np.diag(fitted.covariance)[12 : 12 + len(fitted.free)]), strict=True)
-        lines.append(
-            "  "
-            + ", ".join(
-                f"{NAMES[k]} {fitted.placed.intrinsics[k]:.{2 if k < 4 else 4}f} ± {std:.{2 if k < 4 else 4}f}"
-                for k, std in numbers
-            )
-        )
+        numbers = []
+        for k, std in zip(fitted.unknowns.free, np.sqrt(np.diag(fitted.covariance)[fitted.unknowns.lens]), strict=True):
+            digits = 2 if k < 4 else 4
+            numbers.append(f"{NAMES[k]} {fitted.placed.intrinsics[k]:.{digits}f} ± {std:.{digits}f}")
+        lines.append(f"  {', '.join(numbers)}")
     lines += [
         f"{title}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
         f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm"
@@ -188,27 +207,26 @@ def _shares(result: HandEye, usable: bool) -> str:
 
 def content(result: HandEye, frames: Frames) -> dict[str, object]:
     """Return a calibration as data [m, rad, px]."""
-    scene, fitted, judgement, half = result.scene, result.fitted, judge(result), result.uncertainty()
+    scene, fitted, half = result.scene, result.fitted, result.uncertainty()
     above = frames.parents(scene.mount)
     images = zip(
         scene.names, scene.counts, result.rms_by_image(result.pixels), result.rms_by_image(result.left_out.pixels),
         result.rms_by_image(result.board), result.rms_by_image(result.left_out.board), strict=True,
     )  # fmt: skip
     return {
-        "verdict": judgement.grade,
-        "reasons": list(judgement.reasons),
-        "next": list(judgement.advice),
+        **judge(result).content(),
+        "contains": contents(result.contains),
         "camera_on": scene.mount,
         "camera": _place(above[0], frames.camera, fitted.placed.camera, half["camera"]),
         "board": _place(above[1], frames.board, fitted.placed.board, half["board"]),
         "intrinsics": dict(zip(NAMES, map(float, fitted.placed.intrinsics), strict=True))
-        | {"found": [NAMES[k] for k in fitted.free], "image": list(scene.size)},
+        | {"found": [NAMES[k] for k in fitted.unknowns.free], "image": list(scene.size)},
         "pixels": {"rms": rms(result.pixels), "left_out": rms(result.left_out.pixels),
                    "camera_alone": rms(result.residuals_without_robot),
                    "left_out_with_given_intrinsics": result.rms_given},
         "on_board_m": {"rms": rms(result.board), "left_out": rms(result.left_out.board), "limit95": result.limit},
         "noise": {"pixel": fitted.noise.pixel, "tool_shift_m": fitted.noise.shift, "tool_turn_rad": fitted.noise.turn,
-                  "arm_m_and_rad": fitted.arm},
+                  "arm_m_and_rad": fitted.noise.arm},
         "weighed": result.weighed,
         "images": [
             {"name": name, "points": int(n), "rms_px": px, "left_out_px": lpx, "rms_m": mm, "left_out_m": lmm}
@@ -233,12 +251,17 @@ def _place(parent: str, child: str, pose: FloatArray, half: tuple[float, float])
     }  # fmt: skip
 
 
+def as_json(data: Mapping[str, object]) -> bytes:
+    """Return data as the content of a JSON file."""
+    return (json.dumps(as_data(data), indent=1, allow_nan=False) + "\n").encode()
+
+
 def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
     """Return the transform of the camera as files of other programs, by name."""
     intrinsics = result.fitted.placed.intrinsics
     width, height = result.scene.size
     return {
-        "hand_eye.json": (json.dumps(as_data(content(result, frames)), indent=1, allow_nan=False) + "\n").encode(),
+        "hand_eye.json": as_json(content(result, frames)),
         **transform_files(result.fitted.placed.camera, result.scene.mount, frames),
         "camera_info.yaml": (
             f"image_width: {width}\nimage_height: {height}\ncamera_name: camera\n"
@@ -261,9 +284,10 @@ def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[st
     matrix = "\n".join(" ".join(f"{value:.15g}" for value in row) for row in camera)
     namespace = f"/easy_handeye_eye_on_{'hand' if hand else 'base'}/"
     frame_lines = (
-        f"robot_base_frame: {frames.base}\nrobot_effector_frame: {frames.tool}\ntracking_base_frame: {frames.camera}\n"
+        f"  robot_base_frame: {frames.base}\n  robot_effector_frame: {frames.tool}\n"
+        f"  tracking_base_frame: {frames.camera}\n  tracking_marker_frame: {frames.board}\n"
     )
-    inside = "".join(f"  {key}: {numbers[key]}\n" for key in ("x", "y", "z", "qx", "qy", "qz", "qw"))
+    inside = "".join(f"  {key}: {number}\n" for key, number in numbers.items())
     return {
         "camera_matrix.txt": (matrix + "\n").encode(),
         "static_transform.sh": (
@@ -273,16 +297,13 @@ def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[st
         "camera_pose.launch.py": _launch(arguments, hand).encode(),
         "easy_handeye.yaml": (
             f"parameters:\n  namespace: {namespace}\n  move_group_namespace: /\n  move_group: manipulator\n"
-            f"  eye_on_hand: {str(hand).lower()}\n"
-            + "".join(f"  {line}\n" for line in frame_lines.splitlines())
-            + f"  tracking_marker_frame: {frames.board}\ntransformation:\n{inside}"
+            f"  eye_on_hand: {str(hand).lower()}\n{frame_lines}transformation:\n{inside}"
         ).encode(),
         "easy_handeye2.calib": (
             f"parameters:\n  name: camera\n  calibration_type: {'eye_in_hand' if hand else 'eye_on_base'}\n"
-            + "".join(f"  {line}\n" for line in frame_lines.splitlines())
-            + f"  tracking_marker_frame: {frames.board}\n  freehand_robot_movement: true\n"
-            + f"transform:\n  translation: {{x: {numbers['x']}, y: {numbers['y']}, z: {numbers['z']}}}\n"
-            + f"  rotation: {{x: {numbers['qx']}, y: {numbers['qy']}, z: {numbers['qz']}, w: {numbers['qw']}}}\n"
+            f"{frame_lines}  freehand_robot_movement: true\n"
+            f"transform:\n  translation: {{x: {numbers['x']}, y: {numbers['y']}, z: {numbers['z']}}}\n"
+            f"  rotation: {{x: {numbers['qx']}, y: {numbers['qy']}, z: {numbers['qz']}, w: {numbers['qw']}}}\n"
         ).encode(),
     }  # fmt: skip
 

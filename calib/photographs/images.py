@@ -20,7 +20,7 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.words import count_noun, listing
 from calib.core.data.rosbag import is_bag, joints_of_bag, messages_of_bag, stops
-from calib.photographs.opencv import GreyImage, decode, opencv, read_image
+from calib.photographs.opencv import GreyImage, decode, read_image, to_grey
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
 _LOG = logging.getLogger("calib")
@@ -170,13 +170,7 @@ def _raw_image(message: Any) -> GreyImage:
     channels = _CHANNELS[encoding]
     used = np.ascontiguousarray(rows[:, : message.width * channels * kind.itemsize]).view(kind)
     image = used.reshape(message.height, message.width, channels)
-    if deep:
-        return (image[:, :, 0] / max(int(image.max()) / 255.0, 1.0)).astype(np.uint8)
-    if channels == 1:
-        return np.ascontiguousarray(image[:, :, 0])
-    order = image[:, :, 2::-1] if encoding.startswith("rgb") else image[:, :, :3]  # to blue, green, red
-    cv2 = opencv()
-    return np.ascontiguousarray(cv2.cvtColor(np.ascontiguousarray(order), cv2.COLOR_BGR2GRAY))
+    return to_grey(image[:, :, 2::-1] if encoding.startswith("rgb") else image)  # to blue, green, red
 
 
 def with_joints(photographs: Sequence[Shot]) -> list[Shot]:

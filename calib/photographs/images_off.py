@@ -8,6 +8,7 @@ more cannot be outliers.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -15,10 +16,10 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import ComputationError
 from calib.core.numerics import linalg
 from calib.photographs.camera_alone import point_errors
-from calib.photographs.estimation import plain, predict_left_out_images, rms
-from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior
-from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, residuals
-from calib.photographs.starts import Start, image_rms
+from calib.photographs.estimation import plain, predict_left_out_images
+from calib.photographs.lens_choice import LENS_NUMBERS, free_lens
+from calib.photographs.scene import POSES, BoardScene, HandEyePlacement, HandEyeUnknowns, linearise, residuals
+from calib.photographs.starts import Start
 
 _OFF = 5.0  # an image is left out if its error is more than this many times the median
 _LEAST_OFF = 1.0  # smaller errors are always allowed [px]
@@ -65,22 +66,22 @@ def fitting_points(begin: Start, intrinsics: FloatArray) -> tuple[Start, tuple[O
         OffPoint(scene.names[scene.image[k]], (float(scene.pixels[k, 0]), float(scene.pixels[k, 1])), float(far[k]))
         for k in np.argsort(-far, kind="stable")[: np.count_nonzero(far)]
     ]
-    kept = scene.with_points(far == 0) if off else scene
-    return Start(kept, begin.placed, image_rms(kept, begin.placed) if off else begin.rms), tuple(off)
+    return Start(scene.with_points(far == 0), begin.placed), tuple(off)
 
 
 def fitting_images(scene: BoardScene, begin: Start, intrinsics: FloatArray | None, lens: str) -> BoolArray:
     """Return the mask of the images that fit the others, (n,)."""
-    free = () if lens == "given" else LENS_NUMBERS
     most = int(_MOST_OFF * len(scene))
     fewest = max(_FEWEST, len(scene) - most)
     every: BoolArray = np.ones(len(scene), dtype=bool)
+    unknowns = POSES if lens == "given" else free_lens(begin.placed.intrinsics, scene, intrinsics is not None)
+    errors_without = partial(_prediction_errors, scene, begin.placed, unknowns)
     candidates = np.argsort(-begin.rms)[: most + 1]
     trial = ~np.isin(np.arange(len(scene)), [i for i in candidates if begin.rms[i] > 3 * begin.typical][:most])
     if np.sum(trial) < _FEWEST:
         return every
     for _ in range(3):
-        errors = _prediction_errors(scene, trial, begin.placed, free, intrinsics)
+        errors = errors_without(trial)
         if errors is None:
             return every
         now = errors <= _limit(errors[trial])
@@ -90,11 +91,11 @@ def fitting_images(scene: BoardScene, begin: Start, intrinsics: FloatArray | Non
             break
         trial = now
     # an outlying image in the fit would hide its own distance
-    errors = _prediction_errors(scene, trial, begin.placed, free, intrinsics)
+    errors = errors_without(trial)
     while errors is not None and np.sum(trial) > fewest:
         furthest = int(np.argmax(np.where(trial, errors, -np.inf)))
         without = trial & (np.arange(len(scene)) != furthest)
-        errors = _prediction_errors(scene, without, begin.placed, free, intrinsics)
+        errors = errors_without(without)
         if errors is None or not errors[furthest] > _limit(errors[without]):
             break
         trial = without
@@ -107,21 +108,17 @@ def _limit(errors: FloatArray) -> float:
 
 
 def _prediction_errors(
-    scene: BoardScene, kept: BoolArray, begin: HandEyePlacement, free: tuple[int, ...], intrinsics: FloatArray | None
+    scene: BoardScene, begin: HandEyePlacement, unknowns: HandEyeUnknowns, kept: BoolArray
 ) -> FloatArray | None:
     """RMS error of each image against the fit of the other kept ones, (n,) [px]; None without such a fit."""
     kept_scene = scene.select_images(kept)
-    prior = lens_prior(begin.intrinsics, kept_scene, intrinsics is not None) if free else None
     try:
-        placed, weights = plain(kept_scene, begin, free, prior)
+        placed, weights = plain(kept_scene, begin, unknowns)
     except ComputationError:
         return None
-    result = np.zeros(len(scene))
-    left = predict_left_out_images(kept_scene, placed, free, weights, prior)
-    result[kept] = np.sqrt(kept_scene.sums(np.sum(left.pixels**2, axis=1)) / kept_scene.counts)
-    for i in np.flatnonzero(~kept):
-        part = scene.select_images(np.arange(len(scene)) == i)
-        result[i] = rms(residuals(part, placed))
+    result = scene.rms_by_image(residuals(scene, placed))
+    left = predict_left_out_images(kept_scene, placed, unknowns, weights)
+    result[kept] = kept_scene.rms_by_image(left.pixels)
     return result
 
 
@@ -129,18 +126,11 @@ def images_far_off(scene: BoardScene, kept: BoolArray, begin: Start) -> tuple[Of
     """Return the images that are not `kept` (n,), each with the motion of the tool that would make it fit."""
     if np.all(kept):
         return ()
-    placed, _ = plain(scene.select_images(kept), begin.placed, ())
+    placed, _ = plain(scene.select_images(kept), begin.placed)
+    linear, off = linearise(scene, placed), scene.rms_by_image(residuals(scene, placed))
     named = []
     for i in np.flatnonzero(~kept):
-        part = scene.select_images(np.arange(len(scene)) == i)
-        linear = linearise(part, placed, ())
-        error = -linalg.lstsq(linear.gg[0], linear.gr[0], rcond=1e-9)
-        named.append(
-            OffImage(
-                scene.names[i],
-                rms(residuals(part, placed)),
-                float(np.linalg.norm(error[:3])),
-                float(np.linalg.norm(error[3:])),
-            )
-        )
+        error = linalg.lstsq(linear.gg[i], linear.gr[i], rcond=1e-9)
+        shift, turn = map(float, np.linalg.norm(error.reshape(2, 3), axis=1))
+        named.append(OffImage(scene.names[i], float(off[i]), shift, turn))
     return tuple(sorted(named, key=lambda image: -image.rms))

@@ -29,50 +29,35 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
 from calib.photographs.scene import ImageSums
-from calib.photographs.shared_errors import (
-    ErrorSizes,
-    IntrinsicsPrior,
-    curvature,
-    find_noise,
-    gains,
-    logarithms,
-    normal_equations,
-    prior_of,
-)
+from calib.photographs.shared_errors import ErrorSizes, curvature, find_noise, gains, logarithms, normal_equations
 
 _STEP = 1e-3  # step of logarithms for differences
 _MANY = 1e6  # degrees of freedom of a known size
 
 
 def intervals(
-    linear: ImageSums,
-    twists: FloatArray,
-    weights: ErrorSizes,
-    near: ErrorSizes,
-    prior: IntrinsicsPrior | None,
-    now: FloatArray,
+    linear: ImageSums, twists: FloatArray, weights: ErrorSizes, near: ErrorSizes
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the size of the arm's errors, the covariance of the unknowns (k, k), and degrees of freedom (k,).
 
     `twists` are motions of the tool by each error of the arm, (n, 6, 24); `near` are sizes of the other errors.
     """
     wide = linear.with_arm(twists)
-    noise = find_noise(wide, prior, now, near)
+    noise = find_noise(wide, near)
     logs = logarithms(noise, wide)
-    inverse = np.linalg.inv(normal_equations(linear, weights, prior, now)[0])
+    inverse = np.linalg.inv(normal_equations(linear, weights)[0])
     weighed = linear.jg @ gains(linear, weights)
     by_pixel = linear.jj - 2 * weighed @ linear.jg.transpose(0, 2, 1) + weighed @ linear.gg @ weighed.transpose(0, 2, 1)
     pixels = np.sum(by_pixel, axis=0) / weights.pixel**4
     by_image = (linear.jg - weighed @ linear.gg) / weights.pixel**2
     by_arm = np.sum(by_image @ twists, axis=0)
-    held, _ = prior_of(linear, weights, prior, now)
 
     def covariance_of(at: FloatArray) -> FloatArray:
         pixel, shift, turn, arm = np.exp(2 * at)
         images = np.sum((by_image * np.repeat([shift, turn], 3)) @ by_image.transpose(0, 2, 1), axis=0)
-        return inverse @ (pixel * pixels + images + arm * by_arm @ by_arm.T + np.diag(held)) @ inverse
+        return inverse @ (pixel * pixels + images + arm * by_arm @ by_arm.T + np.diag(linear.weight)) @ inverse
 
-    covariance, (sizes, bends) = covariance_of(logs), curvature(wide, logs, prior, now)
+    covariance, (sizes, bends) = covariance_of(logs), curvature(wide, logs)
     unit = np.eye(len(logs))[sizes] * _STEP
     slopes = [(np.diag(covariance_of(logs + step)) - np.diag(covariance_of(logs - step))) / 2e-3 for step in unit]
     slope = np.array(slopes).reshape(len(sizes), -1)

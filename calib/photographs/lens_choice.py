@@ -7,6 +7,7 @@ distortion is no choice.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +19,7 @@ from calib.core.instruments.camera import NAMES
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.photographs.camera_alone import camera_alone
 from calib.photographs.estimation import LeftOutImages, plain, predict_left_out_images
-from calib.photographs.scene import BoardScene, HandEyePlacement
-from calib.photographs.shared_errors import IntrinsicsPrior
+from calib.photographs.scene import POSES, BoardScene, HandEyePlacement, HandEyeUnknowns
 
 LENSES = ("auto", "given", "found")
 LENS_NUMBERS = tuple(NAMES.index(name) for name in ("fx", "fy", "cx", "cy", "k1", "k2"))
@@ -47,12 +47,16 @@ def unlikely(given: FloatArray, size: tuple[int, int]) -> list[tuple[str, str]]:
     return result
 
 
-def lens_prior(first: FloatArray, scene: BoardScene, given: bool) -> IntrinsicsPrior:
-    """Return a prior of the lens about first intrinsics, (9,), so wide that images decide where they can."""
+def free_lens(first: FloatArray, scene: BoardScene, given: bool, count: int = len(LENS_NUMBERS)) -> HandEyeUnknowns:
+    """Return `count` numbers of the lens as unknowns, expected near first intrinsics, (9,).
+
+    Their prior is so wide that images decide where they can.
+    """
     width = float(max(scene.size))
     focal = (_FOCAL if given else 1.0) * first[0]
     sigma = np.array([focal, focal, _MIDDLE * width, _MIDDLE * width, _RADIAL, _RADIAL])
-    return IntrinsicsPrior(first[list(LENS_NUMBERS)], sigma)
+    free = LENS_NUMBERS[:count]
+    return HandEyeUnknowns(free, first[list(free)], sigma[:count])
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,15 +64,19 @@ class Choice:
     """A choice for the lens, fitted with equal weights."""
 
     placed: HandEyePlacement
-    free: tuple[int, ...]
-    prior: IntrinsicsPrior | None
+    unknowns: HandEyeUnknowns
     left_out: LeftOutImages
 
 
+def _choice(scene: BoardScene, begin: HandEyePlacement, unknowns: HandEyeUnknowns) -> Choice:
+    placed, weights = plain(scene, begin, unknowns)
+    return Choice(placed, unknowns, predict_left_out_images(scene, placed, unknowns, weights))
+
+
 def lens_choices(
-    scene: BoardScene, begin: HandEyePlacement, prior: IntrinsicsPrior, intrinsics: FloatArray | None, lens: str
+    scene: BoardScene, begin: HandEyePlacement, first: FloatArray, intrinsics: FloatArray | None, lens: str
 ) -> list[Choice]:
-    """Return choices for the lens: intrinsics (9,) as given first, then fitted with distortion.
+    """Return choices for the lens: intrinsics (9,) as given, then fitted with distortion from `first` ones, (9,).
 
     A fit without distortion is a choice too if no lens is given and single images show no distortion.
 
@@ -77,18 +85,12 @@ def lens_choices(
     """
     result: list[Choice] = []
     if intrinsics is not None and lens != "found":
-        placed, weights = plain(scene, replace(begin, intrinsics=intrinsics), ())
-        result.append(Choice(placed, (), None, predict_left_out_images(scene, placed, (), weights, None)))
+        result.append(_choice(scene, replace(begin, intrinsics=intrinsics), POSES))
     for count in (6,) if intrinsics is not None or _is_distorted(scene, begin.intrinsics) else (4, 6):
-        free = LENS_NUMBERS[:count]
-        part = IntrinsicsPrior(prior.values[:count], prior.sigma[:count])
-        try:
-            placed, weights = plain(scene, begin, free, part)
-        except (ComputationError, np.linalg.LinAlgError):
-            continue
-        result.append(Choice(placed, free, part, predict_left_out_images(scene, placed, free, weights, part)))
+        with suppress(ComputationError, np.linalg.LinAlgError):
+            result.append(_choice(scene, begin, free_lens(first, scene, first is intrinsics, count)))
     if not result:
-        plain(scene, begin, ())  # raises an error that names the undetermined unknowns
+        plain(scene, begin)  # raises an error that names the undetermined unknowns
         raise NotIdentifiableError("the photographs do not determine the lens; give intrinsics (--camera FILE)")
     return result
 

@@ -15,23 +15,33 @@ count if they raise the likelihood by more than chance does in one data set of t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError
 from calib.core.instruments.camera import NAMES
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import LeftOutBlocks
 from calib.photographs.camera_alone import camera_alone
 from calib.photographs.estimation import HandEyeEstimate, estimate, predict_left_out_images, rms, solve
-from calib.photographs.lens_choice import LENS_NUMBERS, lens_prior, unlikely
+from calib.photographs.lens_choice import free_lens, unlikely
 from calib.photographs.other_readings import other_readings
-from calib.photographs.scene import SIDES, BoardScene, HandEyePlacement, ImageSums, Mount, linearise, residuals, rows
-from calib.photographs.shared_errors import ErrorSizes, IntrinsicsPrior, deviance, find_noise, normal_equations
-from calib.photographs.starts import Start, image_rms, start
+from calib.photographs.scene import (
+    OTHER,
+    SIDES,
+    BoardScene,
+    HandEyePlacement,
+    Mount,
+    linearise,
+    residuals,
+    rows,
+)
+from calib.photographs.shared_errors import ErrorSizes, deviance, find_noise, normal_equations
+from calib.photographs.starts import image_rms, start
 
 _UNKNOWN = "not_explained"
 _FAR_PIXELS = 4.0
@@ -78,7 +88,6 @@ def find_mistakes(
     every: BoardScene,
     used: BoardScene,
     fitted: HandEyeEstimate,
-    prior: IntrinsicsPrior | None,
     given: FloatArray | None,
     first: FloatArray,
     better: HandEyeEstimate,
@@ -90,7 +99,6 @@ def find_mistakes(
         every: All images.
         used: The images used.
         fitted: The estimate from these.
-        prior: Prior of the lens.
         given: Intrinsics as given, (9,); None if none are given.
         first: Given intrinsics, or first values, (9,).
         better: Estimate with a fitted lens if that predicts left-out images better; else `fitted`.
@@ -99,44 +107,34 @@ def find_mistakes(
     lens = _mistakes_of_lens(used, fitted, better, given)
     result = [] if any(mistake.whole for mistake in lens) else _mistakes_of_whole(every, fitted, first, mounts)
     if [mistake.code for mistake in result] == [_UNKNOWN]:
-        moved = _check_move(used, fitted, prior)
+        moved = _check_move(used, fitted)
         result = result if moved is None else [replace(moved, whole=True)]
     if not any(mistake.whole for mistake in lens + result):
-        result += [
-            mistake
-            for mistake in (_square_size(used, fitted, prior), _check_move(used, fitted, prior))
-            if mistake is not None
-        ]
         exchanged = _check_exchange(fitted.placed, used.mount) if len(mounts) > 1 else None
-        result += [] if exchanged is None else [exchanged]
+        likely = (_square_size(used, fitted), _check_move(used, fitted), exchanged)
+        result += [mistake for mistake in likely if mistake is not None]
     return tuple(sorted(result + lens, key=lambda mistake: not mistake.whole))
 
 
 def _mistakes_of_whole(
     scene: BoardScene, fitted: HandEyeEstimate, intrinsics: FloatArray, mounts: tuple[Mount, ...]
 ) -> list[Mistake]:
-    errors = residuals(scene, fitted.placed)
-    image = np.sqrt(scene.sums(np.sum(errors**2, axis=1)) / scene.counts)
-    typical = float(np.median(image))
+    typical = float(np.median(scene.rms_by_image(residuals(scene, fitted.placed))))
     if not typical > _FAR_PIXELS:
         return []
-    left = np.sum(camera_alone(scene, intrinsics) ** 2, axis=1)
-    alone = float(np.sqrt(np.mean(left[np.isfinite(left)]))) if np.any(np.isfinite(left)) else 0.0
+    alone = float(np.nan_to_num(rms(camera_alone(scene, intrinsics))))
     if not typical > 4 * alone:
         return []
     ends: list[tuple[float, str, str]] = []
-    for reading in other_readings(scene, mounts):
+    for code, text, other in other_readings(scene, mounts):
         try:
-            begun: Start = start(reading.scene, intrinsics, mounts=reading.mounts)
+            begun = start(other, intrinsics, mounts=mounts)
         except (CalibrationError, np.linalg.LinAlgError):
             continue
-        ends.append((begun.typical, reading.code, reading.text))
+        ends.append((begun.typical, code, text))
         if begun.typical < _SURE * typical:
             break
-    least, code, text = min(ends, default=(np.inf, "", ""))
-    other_size = _other_size(scene, fitted)
-    if other_size is not None and other_size[0] < least:
-        least, code, text = other_size
+    least, code, text = min([*ends, *_other_size(scene, fitted)], default=(np.inf, "", ""))
     if least < _HALVES * typical:
         return [Mistake(code, f"{text} (then {least:.1f} px are left in place of {typical:.1f})", True)]
     text = (
@@ -146,57 +144,49 @@ def _mistakes_of_whole(
     return [Mistake(_UNKNOWN, text, True)]
 
 
-def _other_size(scene: BoardScene, fitted: HandEyeEstimate) -> tuple[float, str, str] | None:
-    """Median RMS of the images with a fitted size of the board [px], the code and the words; None if implausible."""
-    prior = lens_prior(fitted.placed.intrinsics, scene, True)
+def _other_size(scene: BoardScene, fitted: HandEyeEstimate) -> Iterator[tuple[float, str, str]]:
+    """Median RMS of the images with a fitted size of the board [px], the code and the words, if it is plausible."""
     try:
-        placed = solve(scene, fitted.placed, LENS_NUMBERS, ErrorSizes(), prior, scaled=True)
+        unknowns = replace(free_lens(fitted.placed.intrinsics, scene, True), scaled=True)
+        placed = solve(scene, fitted.placed, unknowns, ErrorSizes())
     except (CalibrationError, np.linalg.LinAlgError):
-        return None
-    if not 1 / _OTHER_UNIT < placed.scale < _OTHER_UNIT:
-        return None
+        return
     change = placed.scale - 1.0
-    if abs(change) < _SCALE_OFF:
-        return None
+    if abs(change) < _SCALE_OFF or not 1 / _OTHER_UNIT < placed.scale < _OTHER_UNIT:
+        return
     text = (
         f"the board is {100 * abs(change):.0f} % {'larger' if change > 0 else 'smaller'} than described: measure its"
         " squares or markers, and correct its sizes"
     )
-    return float(np.median(image_rms(scene, placed))), "square_size", text
+    yield float(np.median(image_rms(scene, placed))), "square_size", text
 
 
 def _check_exchange(placed: HandEyePlacement, mount: Mount) -> Mistake | None:
     """The mistake of inverted poses with the other mount, if camera and board are where it would put them."""
-    far = {
-        thing: float(np.linalg.norm(pose[:3, 3]))
-        for thing, pose in (("camera", placed.camera), ("board", placed.board))
-    }
+    far = {name: float(np.linalg.norm(getattr(placed, name)[:3, 3])) for name in ("camera", "board")}
     on_tool, on_base = ("camera", "board") if mount == "tool" else ("board", "camera")
     if not far[on_tool] > _EXCHANGED * far[on_base]:
         return None
-    other: Mount = "base" if mount == "tool" else "tool"
     return Mistake(
         "exchanged",
         f"the {on_tool} would be {far[on_tool]:.2f} m from the tool, and the {on_base} {far[on_base]:.2f} m from the"
-        f" base: if the camera is {SIDES[other]}, the poses are inverted (the base in the tool); if it is"
+        f" base: if the camera is {SIDES[OTHER[mount]]}, the poses are inverted (the base in the tool); if it is"
         f" {SIDES[mount]}, say so: --camera-on {mount}",
     )
 
 
-def _square_size(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None) -> Mistake | None:
+def _square_size(scene: BoardScene, fitted: HandEyeEstimate) -> Mistake | None:
     """The mistake of another board size than described, if likely."""
     try:
-        other = estimate(scene, fitted.placed, fitted.free, prior, scaled=True, near=fitted.noise)
+        other = estimate(scene, fitted.placed, replace(fitted.unknowns, scaled=True), near=fitted.noise)
     except (CalibrationError, np.linalg.LinAlgError):
         return None
-    k = 12 + len(fitted.free)
-    std, change = float(np.sqrt(other.covariance[k, k])), other.placed.scale - 1.0
-    freedom = float(other.freedom[k])
-    chance = 2 * float(scipy.special.stdtr(freedom, -abs(change) / std))
+    std, change = float(np.sqrt(other.covariance[-1, -1])), other.placed.scale - 1.0
+    chance = 2 * float(scipy.special.stdtr(other.freedom[-1], -abs(change) / std))
     if abs(change) < _SCALE or chance > _CHANCE:
         return None
     before, after = (
-        rms(predict_left_out_images(scene, each.placed, each.free, each.weights, prior, scaled=each.scaled).pixels) ** 2
+        rms(predict_left_out_images(scene, each.placed, each.unknowns, each.weights).pixels) ** 2
         for each in (fitted, other)
     )
     if not after < _BETTER * before:
@@ -208,24 +198,24 @@ def _square_size(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPr
     )
 
 
-def _check_move(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPrior | None) -> Mistake | None:
+def _check_move(scene: BoardScene, fitted: HandEyeEstimate) -> Mistake | None:
     """The mistake of a board or camera that moved after some image, if likely."""
     n = len(scene)
     if n < 8:
         return None
-    free = fitted.free
-    now = fitted.placed.intrinsics[list(free)]
-    linear = linearise(scene, fitted.placed, free)
-    before = deviance(linear, find_noise(linear, prior, now, fitted.noise), prior, now)
+    linear = linearise(scene, fitted.placed, fitted.unknowns)
+    before = deviance(linear, find_noise(linear, fitted.noise))
     best: tuple[float, int, str, FloatArray] = (0.0, 0, "", np.zeros(6))
     for which, first in (("board", 6), ("camera", 0)):
-        moved_from = [_with_step(linear, np.arange(n) >= k, first) for k in range(3, n - 2)]
-        left = [deviance(each, fitted.noise, prior, now) for each in moved_from]  # at the same noise
+        chosen, none = np.eye(linear.jj.shape[1])[:, first : first + 6], np.zeros((n, 6, 6))
+        # six further unknowns: a step in later images
+        moved_from = [linear.with_columns((np.arange(n) >= k)[:, None, None] * chosen, none) for k in range(3, n - 2)]
+        left = [deviance(each, fitted.noise) for each in moved_from]  # at the same noise
         most = moved_from[int(np.argmin(left))]
-        noise = find_noise(most, prior, now, fitted.noise)
-        gained = before - deviance(most, noise, prior, now)
+        noise = find_noise(most, fitted.noise)
+        gained = before - deviance(most, noise)
         if gained > best[0]:
-            a, b, _ = normal_equations(most, noise, prior, now)
+            a, b, _ = normal_equations(most, noise)
             best = gained, 3 + int(np.argmin(left)), which, -linalg.lstsq(a, b, rcond=1e-12)[-6:]
     gained, k, which, step = best
     moved, turned = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
@@ -240,15 +230,9 @@ def _check_move(scene: BoardScene, fitted: HandEyeEstimate, prior: IntrinsicsPri
     )
 
 
-def _with_step(linear: ImageSums, later: BoolArray, first: int) -> ImageSums:
-    """The problem with six further unknowns: a step of camera or board in later images."""
-    chosen = np.eye(linear.jj.shape[1])[:, first : first + 6]
-    return linear.with_columns(later[:, None, None] * chosen, np.zeros((len(later), 6, 6)))
-
-
 def _explains(scene: BoardScene, fitted: HandEyeEstimate, k: int, which: str) -> bool:
     """Whether a move predicts left-out images better, each by the linear problem without it."""
-    r, j, _ = rows(scene, fitted.placed, fitted.free)
+    r, j, _ = rows(scene, fitted.placed, fitted.unknowns)
     moved_columns = slice(6, 12) if which == "board" else slice(0, 6)
     wide = np.concatenate([j, j[:, :, moved_columns] * (scene.image >= k)[:, None, None]], axis=2)
 
@@ -267,13 +251,14 @@ def _mistakes_of_lens(
     """Mistakes in given intrinsics, (9,): implausible values, and contradictions to the photographs."""
     if given is None:
         return []
-    swap = _swapped_numbers(given, better) if better.free else ""
+    free = list(better.unknowns.free)
+    swap = _swapped_numbers(given, better) if free else ""
     result = [] if swap else [Mistake(code, text) for code, text in unlikely(given, scene.size)]
-    if not better.free:
+    if not free:
         return result
-    kept = not fitted.free  # the given intrinsics are used although others are better
-    std = np.sqrt(np.diag(better.covariance)[12 : 12 + len(better.free)])
-    change = (better.placed.intrinsics - given)[list(better.free)]
+    kept = not fitted.unknowns.free  # the given intrinsics are used although others are better
+    std = np.sqrt(np.diag(better.covariance)[better.unknowns.lens])
+    change = (better.placed.intrinsics - given)[free]
     sure, pixels = np.abs(change) / std, np.abs(change[:4])
     # a relative error of the focal length is the same relative error of a distance
     if not (kept or swap or (np.max(sure) > _LENS_OFF and np.max(pixels) / better.placed.intrinsics[0] > 0.02)):
@@ -282,10 +267,10 @@ def _mistakes_of_lens(
     for k in dict.fromkeys((int(np.argmax(sure)), int(np.argmax(np.where(sure[:4] > _ALSO_OFF, pixels, 0.0))))):
         if numbers and not sure[k] > _ALSO_OFF:
             continue
-        name, digits = NAMES[better.free[k]], 1 if better.free[k] < 4 else 4  # for px, else for distortion
+        number, digits = free[k], 1 if free[k] < 4 else 4  # for px, else for distortion
         numbers.append(
-            f"{name} is given as {given[better.free[k]]:.{digits}f}, and found as"
-            f" {better.placed.intrinsics[better.free[k]]:.{digits}f} ± {std[k]:.{digits}f}"
+            f"{NAMES[number]} is given as {given[number]:.{digits}f}, and found as"
+            f" {better.placed.intrinsics[number]:.{digits}f} ± {std[k]:.{digits}f}"
         )
     before, after = (float(np.median(image_rms(scene, each.placed))) for each in (fitted, better))
     text = f"the intrinsics given contradict the photographs: {', '.join(numbers)}{f' ({swap})' if swap else ''}; " + (

@@ -99,15 +99,19 @@ def decode(content: bytes, where: str) -> GreyImage:
             cv2.utils.logging.setLogLevel(level)
     if image is None or image.ndim not in (2, 3):
         raise DataError(f"{where}: is not an image that can be read; give PNG, JPEG, TIFF or BMP")
-    if image.dtype == np.uint16:
-        image = (image / max(int(image.max()) / 255.0, 1.0)).astype(np.uint8)
-    if image.dtype != np.uint8:
+    if image.dtype not in (np.uint8, np.uint16):
         raise DataError(f"{where}: has pixels of type {image.dtype}; give an image with 8 or 16 bits")
-    if image.ndim == 2:
-        return np.ascontiguousarray(image)
-    if image.shape[2] == 4:
-        image = image[:, :, :3]
-    return np.ascontiguousarray(image[:, :, 0] if image.shape[2] == 1 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+    return to_grey(image)
+
+
+def to_grey(image: NDArray[Any]) -> GreyImage:
+    """Return an image of 8 or 16 bits as grey values: (height, width), or with one, three (BGR) or four channels."""
+    cv2 = opencv()
+    if image.dtype != np.uint8:
+        image = (image / max(int(image.max()) / 255.0, 1.0)).astype(np.uint8)
+    if image.ndim == 2 or image.shape[2] == 1:
+        return np.ascontiguousarray(image.reshape(image.shape[:2]))
+    return np.ascontiguousarray(cv2.cvtColor(np.ascontiguousarray(image[:, :, :3]), cv2.COLOR_BGR2GRAY))
 
 
 def encode(image: GreyImage, suffix: str = ".png") -> bytes:

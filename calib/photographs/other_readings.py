@@ -13,7 +13,7 @@ A rotation is converted back to the numbers of the file, which are then read in 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -26,18 +26,8 @@ _FEWEST = 4  # images
 _UNITS = (10.0, 0.1, 1000.0, 0.001)
 
 
-@dataclass(frozen=True, eq=False)
-class SceneInterpretation:
-    """A scene with another meaning of its numbers: code and words of the mistake, the images, and possible mounts."""
-
-    code: str
-    text: str
-    scene: BoardScene
-    mounts: tuple[Mount, ...]
-
-
-def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[SceneInterpretation]:
-    """Yield a scene with other meanings of its numbers."""
+def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[tuple[str, str, BoardScene]]:
+    """Yield code and words of a mistake, and the scene with that other meaning of its numbers."""
     n = len(scene)
     for shift in _SHIFTS:
         pairs = np.arange(n) + shift
@@ -51,22 +41,20 @@ def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[Sce
             f"images and poses are shifted: each image fits the pose {abs(shift)} {rows}"
             f" {'further on' if shift > 0 else 'before'}"
         )
-        yield SceneInterpretation("pairs_shifted", text, replace(scene, tool=tool).select_images(paired), mounts)
+        yield "pairs_shifted", text, replace(scene, tool=tool).select_images(paired)
     mirrored = replace(scene, pixels=scene.pixels * [-1, 1] + [scene.size[0] - 1, 0])
-    yield SceneInterpretation(
-        "mirrored", "the images are mirrored; flip them, or switch that off in the camera", mirrored, mounts
-    )
+    yield "mirrored", "the images are mirrored; flip them, or switch that off in the camera", mirrored
     if len(mounts) == 1:
         text = "the poses are inverted: the base in the tool, not the tool in the base"
-        yield SceneInterpretation("poses_inverted", text, replace(scene, tool=np.linalg.inv(scene.tool)), mounts)
+        yield "poses_inverted", text, replace(scene, tool=np.linalg.inv(scene.tool))
     for text, tool in _other_rotations(scene.tool):
-        yield SceneInterpretation("rotations", text, replace(scene, tool=tool), mounts)
+        yield "rotations", text, replace(scene, tool=tool)
     for factor in _UNITS:
         text = (
             f"the board would be {factor:.4g} times as large as described: lengths of the board or of the poses are in"
             f" another unit than the files say"
         )
-        yield SceneInterpretation("units", text, replace(scene, body=factor * scene.body), mounts)
+        yield "units", text, replace(scene, body=factor * scene.body)
 
 
 def _other_rotations(tool: FloatArray) -> Iterator[tuple[str, FloatArray]]:

@@ -6,7 +6,6 @@ A page is one file: it holds small copies of the images, with SVG drawn over the
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass, field
 from html import escape
 
 import numpy as np
@@ -16,25 +15,6 @@ from calib.photographs.detection import DetectedImage
 from calib.photographs.opencv import GreyImage, encode, opencv
 
 _WIDTH = 480  # px of the small copies
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """One image of a page.
-
-    Attributes:
-        image: Its detected points.
-        small: Its small copy as JPEG; empty if there is none.
-        caption: Text below it.
-        is_outlying: Whether it is marked as outlying.
-        arrows: Arrows from detected to predicted points, (n, 2) [px]; may be empty.
-    """
-
-    image: DetectedImage
-    small: bytes
-    caption: str
-    is_outlying: bool = False
-    arrows: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 def small_copy(image: GreyImage | str) -> bytes:
@@ -49,27 +29,37 @@ def small_copy(image: GreyImage | str) -> bytes:
     return encode(image, ".jpg")
 
 
-def figure(picture: Picture) -> str:
-    """Return a photograph with its detected points and arrows, as HTML."""
-    width, height = picture.image.size
-    words = f'<span class="{"off" if picture.is_outlying else "fine"}">{escape(picture.caption)}</span>'
-    if not picture.small or not width:
-        return f"<figure><figcaption><b>{escape(picture.image.name)}</b>: {words}</figcaption></figure>"
+def figure(
+    image: DetectedImage, small: bytes, caption: str, arrows: FloatArray | None = None, *, is_outlying: bool = False
+) -> str:
+    """Return a photograph with its detected points as HTML.
+
+    Args:
+        image: Its detected points.
+        small: Its small copy as JPEG; empty if there is none.
+        caption: Text below it.
+        arrows: Ends of arrows from the detected points, such as predicted points, (n, 2) [px].
+        is_outlying: Whether it is marked as outlying.
+    """
+    (width, height), name = image.size, escape(image.name)
+    words = f'<b>{name}</b>: <span class="{"off" if is_outlying else "fine"}">{escape(caption)}</span>'
+    if not small or not width:
+        return f"<figure><figcaption>{words}</figcaption></figure>"
     radius = max(width, height) / 100
-    address = f"data:image/jpeg;base64,{base64.b64encode(picture.small).decode()}"
-    marks = "".join(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="{radius:.1f}"/>' for u, v in picture.image.pixels)
-    line = "".join(_arrow(start, end) for start, end in zip(picture.image.pixels, picture.arrows, strict=False))
+    address = f"data:image/jpeg;base64,{base64.b64encode(small).decode()}"
+    marks = "".join(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="{radius:.1f}"/>' for u, v in image.pixels)
+    line = "" if arrows is None else "".join(_arrow(*ends) for ends in zip(image.pixels, arrows, strict=True))
     first = ""
-    if len(picture.image.pixels):
-        (u, v), name = picture.image.pixels[0], picture.image.points[0]
+    if len(image.pixels):
+        u, v = image.pixels[0]
         where = f'x="{u:.1f}" y="{v - 2 * radius:.1f}" font-size="{4 * radius:.1f}"'
-        first = f'<text {where} fill="#e0007a">{escape(name)}</text>'
+        first = f'<text {where} fill="#e0007a">{escape(image.points[0])}</text>'
     return (
-        f'<figure><svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(picture.image.name)}">'
+        f'<figure><svg viewBox="0 0 {width} {height}" role="img" aria-label="{name}">'
         f'<image href="{address}" width="{width}" height="{height}"/>'
         f'<g fill="none" stroke="#00a2ff" stroke-width="{radius / 2.5:.2f}">{marks}</g>'
         f'<g stroke="#e0007a" stroke-width="{radius / 2:.2f}">{line}</g>{first}</svg>'
-        f"<figcaption><b>{escape(picture.image.name)}</b>: {words}</figcaption></figure>"
+        f"<figcaption>{words}</figcaption></figure>"
     )
 
 

@@ -28,6 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.contributions import Contributions, Uncertainty
 from calib.core.base.errors import DataError
 from calib.core.base.sections import COMPONENTS
 from calib.core.calibrating.calibrate import calibrate
@@ -46,7 +47,7 @@ from calib.core.robots.urdf.text import parse_urdf
 from calib.core.rows.determination import determination
 from calib.core.rows.observed import observe
 from calib.core.rows.unknowns import Unknowns
-from calib.photographs.scene import SIDES, Mount
+from calib.photographs.scene import OTHER, SIDES, Mount
 
 LEAST_PAIRS = 3
 _MUCH_BETTER = 3.0  # inverted poses are the right ones if residuals are more than this many times smaller with them
@@ -89,6 +90,7 @@ class PosePairs(ReadOnlyArrays):
         errors: Predicted minus measured: position and rotation of the marker in the camera, (n, 6) [m, rad].
         reasons: Reasons against the result, each with its grade.
         distance: Mean distance from camera to marker [m].
+        contains: Contributions to the intervals.
     """
 
     names: tuple[str, ...]
@@ -99,6 +101,7 @@ class PosePairs(ReadOnlyArrays):
     errors: FloatArray
     reasons: tuple[tuple[str, str], ...]
     distance: float
+    contains: dict[Uncertainty, Contributions]
 
     @property
     def is_determined(self) -> bool:
@@ -135,10 +138,11 @@ def solve_pairs(
         )
     if len(left) > 1 and max(left.values()) < _MUCH_BETTER * left[mount]:
         reasons.append(
-            ("CHECK", f"a camera {SIDES[_other_mount(mount)]} fits almost as well; say where it is with --camera-on")
+            ("CHECK", f"a camera {SIDES[OTHER[mount]]} fits almost as well; say where it is with --camera-on")
         )
     robot = _robot(tool, seen, mount)
-    joints = np.hstack([tool[:, :3, 3], [_angles(pose) for pose in tool[:, :3, :3]]])
+    angles = [-pin.rpy.matrixToRpy(turn.T) for turn in tool[:, :3, :3]]  # of hinges about x, the new y, the newest z
+    joints = np.hstack([tool[:, :3, 3], angles])
     values = np.hstack([seen[:, :3, 3], rotation_vectors(seen[:, :3, :3])])
     data = as_measurements(robot, joints, {"camera": values}, list(names))
     observed = observe(robot, robot.assemble(data.joints, labels=data.labels), data.readings)["camera"]
@@ -168,11 +172,8 @@ def solve_pairs(
         np.asarray(fitted.identification.after["camera"]),
         tuple(reasons),
         float(np.mean(np.linalg.norm(seen[:, :3, 3], axis=1))),
+        {Uncertainty.POSITION: fitted.covariance.contains},
     )
-
-
-def _other_mount(mount: Mount) -> Mount:
-    return "base" if mount == "tool" else "tool"
 
 
 def _links(tool: FloatArray, mount: Mount) -> FloatArray:
@@ -187,11 +188,6 @@ def _closed_form_residual(tool: FloatArray, seen: FloatArray, mount: Mount) -> f
     distance = np.mean(np.linalg.norm(seen[:, :3, 3], axis=1))
     turned = rotation_vectors(off[:, :3, :3])
     return float(np.sqrt(np.mean(np.sum(off[:, :3, 3] ** 2, axis=1) + distance**2 * np.sum(turned**2, axis=1))))
-
-
-def _angles(rotation: FloatArray) -> FloatArray:
-    """Angles of the three hinges about x, the new y and the newest z, (3,) [rad]."""
-    return np.asarray(-pin.rpy.matrixToRpy(rotation.T))
 
 
 def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
@@ -232,23 +228,21 @@ def _change_in_words(change: FloatArray) -> str:
 
 def _found_pose(fitted: JudgedFit, null: FloatArray, place: str) -> tuple[FoundPose, FloatArray]:
     """Pose of `place` with its intervals, and its motion by unseen changes, (6, k)."""
-    pose = _place(fitted.robot, place)
-    steps = []
-    for k in range(len(fitted.robot.parameters)):
-        values = [fitted.robot.values.copy() for _ in range(2)]
-        values[0][k] -= _STEP
-        values[1][k] += _STEP
-        ends = [_place(fitted.robot.with_parameters(each), place) for each in values]
-        turned = rotation_vectors(np.array([pose[:3, :3].T @ end[:3, :3] for end in ends]))
-        steps.append(np.hstack([ends[1][:3, 3] - ends[0][:3, 3], turned[1] - turned[0]]) / (2 * _STEP))
-    by = np.array(steps).T  # (6, n_parameters)
-    free = fitted.robot.is_free
+    robot, pose = fitted.robot, _place(fitted.robot, place)
+
+    def displace(step: FloatArray) -> FloatArray:
+        after = _place(robot.with_parameters(robot.values + step), place)
+        return np.append(after[:3, 3], rotation_vectors(pose[None, :3, :3].transpose(0, 2, 1) @ after[None, :3, :3]))
+
+    steps = _STEP * np.eye(len(robot.parameters))
+    by = np.stack([displace(step) - displace(-step) for step in steps], axis=1) / (2 * _STEP)  # (6, n_parameters)
+    free = robot.is_free
     spread = by[:, free] @ np.asarray(fitted.covariance) @ by[:, free].T
     known = [fitted.parameters[name] for name in fitted.free_names]
     factor = max((float(each.half95_si) / each.std_si for each in known), default=float("nan"))
     half = factor * np.sqrt(np.diag(spread))
-    moved = by @ null
-    return FoundPose(pose, half, np.any(np.abs(moved) > _OPEN * np.max(np.abs(null), axis=0), axis=1)), moved
+    unseen = by @ null
+    return FoundPose(pose, half, np.any(np.abs(unseen) > _OPEN * np.max(np.abs(null), axis=0), axis=1)), unseen
 
 
 def _place(robot: Robot, place: str) -> FloatArray:

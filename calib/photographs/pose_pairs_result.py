@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.photographs.hand_eye_result import FEW, WIDE, Frames, HandEyeJudgement, transform
+from calib.photographs.hand_eye_result import FEW, WIDE, Frames, HandEyeJudgement, contents, transform
 from calib.photographs.pose_pairs import FoundPose, PosePairs
 from calib.photographs.scene import SIDES
 
@@ -32,21 +32,17 @@ def judge_pairs(result: PosePairs) -> HandEyeJudgement:
     if len(result.names) < FEW:
         reasons.append(("CHECK", f"{len(result.names)} pairs are few to judge by"))
         advice.append(f"take {FEW} to 20 pairs")
-    grades = [grade for grade, _ in reasons]
-    grade = next((each for each in ("FAIL", "CHECK") if each in grades), "PASS")
-    ordered = sorted(reasons, key=lambda reason: ("FAIL", "CHECK", "PASS").index(reason[0]))
-    return HandEyeJudgement(grade, tuple(text for _, text in ordered), tuple(dict.fromkeys(advice)))
+    return HandEyeJudgement.from_reasons(reasons, advice)
 
 
 def report_pairs(result: PosePairs, frames: Frames) -> str:
     """Return the report of a calibration in words."""
     judgement, above = judge_pairs(result), frames.parents(result.mount)
     off = [_MM * np.sqrt(np.mean(np.sum(result.errors[:, part] ** 2, axis=1))) for part in (slice(3), slice(3, 6))]
-    lines = [f"Hand-eye calibration of {len(result.names)} pairs of poses: camera {SIDES[result.mount]}"]
-    lines.append(f"Verdict: {judgement.grade}")
-    lines += [f"  {judgement.grade if k == 0 else '     '}: {text}" for k, text in enumerate(judgement.reasons)]
-    lines.append(f"Residuals of the marker in the camera: {off[0]:.3f} mm and {off[1]:.3f} mrad RMS")
-    lines += [
+    lines = [
+        f"Hand-eye calibration of {len(result.names)} pairs of poses: camera {SIDES[result.mount]}",
+        *judgement.lines(),
+        f"Residuals of the marker in the camera: {off[0]:.3f} mm and {off[1]:.3f} mrad RMS",
         _pose_in_words(f"Camera in {above[0]}", result.camera),
         _pose_in_words(f"Marker in {above[1]}", result.marker),
     ]
@@ -72,11 +68,10 @@ def _pose_in_words(title: str, found: FoundPose) -> str:
 
 def content_of_pairs(result: PosePairs, frames: Frames) -> dict[str, object]:
     """Return a calibration as data [m, rad]; undetermined values are null."""
-    judgement, above = judge_pairs(result), frames.parents(result.mount)
+    above = frames.parents(result.mount)
     return {
-        "verdict": judgement.grade,
-        "reasons": list(judgement.reasons),
-        "next": list(judgement.advice),
+        **judge_pairs(result).content(),
+        "contains": contents(result.contains),
         "camera_on": result.mount,
         "camera": _as_data(above[0], frames.camera, result.camera),
         "board": _as_data(above[1], frames.board, result.marker),

@@ -13,7 +13,6 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,21 +36,8 @@ _SMALL_DOT, _LARGE_DOT = 0.25, 0.38  # radius over the spacing of a square grid
 _DOT = 0.5  # radius of a dot over the spacing
 
 
-@dataclass(frozen=True, eq=False)
-class BoardShapes:
-    """Black shapes of a board.
-
-    Attributes:
-        rectangles: x0, y0, x1, y1, (n, 4) [m].
-        discs: x, y, radius, (n, 3) [m].
-    """
-
-    rectangles: FloatArray
-    discs: FloatArray
-
-
-def shapes(board: Board) -> BoardShapes:
-    """Return the black shapes of a board.
+def shapes(board: Board) -> tuple[FloatArray, FloatArray]:
+    """Return the black shapes of a board: rectangles x0, y0, x1, y1, (n, 4) [m], and discs x, y, radius, (n, 3) [m].
 
     Raises:
         InputError: OpenCV, which draws the markers, is not installed.
@@ -60,13 +46,13 @@ def shapes(board: Board) -> BoardShapes:
     none = np.zeros((0, 3))
     if board.kind == "circles":
         radius = _DOT * (board.spacing or 0.0)
-        return BoardShapes(np.zeros((0, 4)), np.array([(x, y, radius) for x, y, _ in board.points().values()]))
+        return np.zeros((0, 4)), np.array([(x, y, radius) for x, y, _ in board.points().values()])
     if board.kind == "dots":
         radii = (board.spacing or 0.0) * np.where(np.arange(board.columns * board.rows) == 0, _LARGE_DOT, _SMALL_DOT)
         places = np.array(list(board.points().values()))[:, :2]
-        return BoardShapes(np.zeros((0, 4)), np.column_stack([places, radii]))
+        return np.zeros((0, 4)), np.column_stack([places, radii])
     if board.kind == "chessboard":
-        return BoardShapes(_squares(board, lambda i, j: (i + j) % 2 == 0), none)
+        return _squares(board, lambda i, j: (i + j) % 2 == 0), none
     made: Any = opencv_board(board, bool(board.legacy))
     corners = np.array([np.asarray(marker)[:, :2] for marker in made.getObjPoints()], dtype=float)
     cells = [
@@ -78,7 +64,7 @@ def shapes(board: Board) -> BoardShapes:
         side = board.square or 0.0
         taken = {(int(x / side), int(y / side)) for x, y in corners.mean(axis=1)}
         rectangles = np.concatenate([_squares(board, lambda i, j: (i, j) not in taken), rectangles])
-    return BoardShapes(rectangles, none)
+    return rectangles, none
 
 
 def _squares(board: Board, black: Callable[[int, int], bool]) -> FloatArray:
@@ -105,17 +91,17 @@ class Paper:
     """A printed board whose exact colour is known at any place, from a grid of the edges of its rectangles."""
 
     def __init__(self, board: Board) -> None:
-        black = shapes(board)
-        self._edges = [np.unique(np.round(black.rectangles[:, (k, k + 2)], 12)) for k in (0, 1)]
+        rectangles, discs = shapes(board)
+        self._edges = [np.unique(np.round(rectangles[:, (k, k + 2)], 12)) for k in (0, 1)]
         across, down = (len(edges) + 1 for edges in self._edges)
         self._cells = np.zeros((across, down), dtype=bool)
-        for rectangle in black.rectangles:
+        for rectangle in rectangles:
             (x0, x1), (y0, y1) = (
                 np.searchsorted(self._edges[k], np.round(rectangle[[k, k + 2]], 12), side="right") for k in (0, 1)
             )
             self._cells[x0:x1, y0:y1] = True
-        self._discs = scipy.spatial.cKDTree(black.discs[:, :2]) if len(black.discs) else None
-        self._radii = np.append(black.discs[:, 2], 0.0)  # the last for places far from all discs
+        self._discs = scipy.spatial.cKDTree(discs[:, :2]) if len(discs) else None
+        self._radii = np.append(discs[:, 2], 0.0)  # the last for places far from all discs
 
     def black(self, places: FloatArray) -> BoolArray:
         """Return whether places on the board, (n, 2) [m], are black; places outside are white."""
@@ -151,12 +137,12 @@ def page(board: Board, form: str, paper: str | None = None) -> bytes:
     axes.set_xlim(0.0, sheet[0])
     axes.set_ylim(sheet[1], 0.0)
     axes.set_axis_off()
-    black = shapes(board)
+    rectangles, discs = shapes(board)
     parts = [
         Path(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]), closed=True)
-        for x0, y0, x1, y1 in black.rectangles + np.tile([left, top], 2)
+        for x0, y0, x1, y1 in rectangles + np.tile([left, top], 2)
     ]
-    parts += [Path.circle((x + left, y + top), radius) for x, y, radius in black.discs]
+    parts += [Path.circle((x + left, y + top), radius) for x, y, radius in discs]
     axes.add_patch(PathPatch(Path.make_compound_path(*parts), facecolor="black", edgecolor="none"))
     _draw_foot(axes, board, (sheet[0] - _RULER) / 2, top + height + 0.006)
     stream = io.BytesIO()

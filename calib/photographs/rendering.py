@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -50,22 +51,23 @@ class Photographer:
     blur: float = 0.7
     noise: float = 2.0
 
-    def __post_init__(self) -> None:
-        width, height = self.size
+    @cached_property
+    def _paper(self) -> Paper:
+        return Paper(self.board)
+
+    @cached_property
+    def _rays(self) -> FloatArray:
         around = (np.arange(_RAYS) + 0.5) / _RAYS - 0.5
-        u = (np.arange(width)[:, None] + around).ravel()
-        v = (np.arange(height)[:, None] + around).ravel()
-        object.__setattr__(self, "_paper", Paper(self.board))
-        object.__setattr__(self, "_rays", _smooth_rays(u, v, self.intrinsics))
+        u, v = ((np.arange(length)[:, None] + around).ravel() for length in self.size)
+        return _smooth_rays(u, v, self.intrinsics)
 
     def photograph(self, T_camera_board: FloatArray, generator: np.random.Generator) -> GreyImage:
         """Return the photograph of the board at a pose in the camera, (4, 4) [m]."""
-        paper: Paper = self._paper  # type: ignore[attr-defined]
         board, margin = np.array(self.board.size), _MARGIN * max(self.board.size)
         width, height = self.size
         fine = np.full((_RAYS * height, _RAYS * width), _TABLE)
         part = self._visible_rays(T_camera_board, margin)
-        pixel_rays = self._rays[part].reshape(-1, 2)  # type: ignore[attr-defined]
+        pixel_rays = self._rays[part].reshape(-1, 2)
         directions = np.hstack([pixel_rays, np.ones((len(pixel_rays), 1))])
         normal, place = T_camera_board[:3, 2], T_camera_board[:3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -74,7 +76,7 @@ class Photographer:
         at = np.nan_to_num(at, nan=-1e9, posinf=1e9, neginf=-1e9)
         inside = np.all((at >= -margin) & (at <= board + margin), axis=1) & (depth > 0)
         grey = np.full(len(at), _TABLE)
-        grey[inside] = np.where(paper.black(at[inside]), _INK, _PAPER)
+        grey[inside] = np.where(self._paper.black(at[inside]), _INK, _PAPER)
         fine[part] = grey.reshape(fine[part].shape)
         image = fine.reshape(height, _RAYS, width, _RAYS).mean(axis=(1, 3)) * np.linspace(0.9, 1.05, width)
         image = scipy.ndimage.gaussian_filter(image, self.blur)
@@ -115,10 +117,8 @@ def example(board: Board, count: int, generator: np.random.Generator) -> dict[st
     size = (640, 480)
     intrinsics = np.array([610.0, 612.0, 323.0, 236.0, -0.12, 0.06, 0.0, 0.0, 0.0])
     photographer = Photographer(board, intrinsics, size)
-    T_tool_camera, T_base_board = (
-        _pose((0.04, -0.06, 0.09), (2.0, -3.0, 91.0)),
-        _pose((0.55, -0.1, 0.02), (180.0, 2.0, 30.0)),
-    )
+    T_tool_camera = _pose((0.04, -0.06, 0.09), (2.0, -3.0, 91.0))
+    T_base_board = _pose((0.55, -0.1, 0.02), (180.0, 2.0, 30.0))
     middle = np.array([*np.array(board.size) / 2, 0.0])
     away = 1.5 if board.dictionary else 2.3  # without markers, all of the board must be in the image
     distance = away * intrinsics[0] / size[1] * float(np.hypot(*board.size)) / np.sqrt(2)

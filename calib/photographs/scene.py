@@ -14,15 +14,14 @@ The solver needs only sums over the points of each image: J^T J, J^T G, G^T G, J
 residuals, J is their derivative by the unknowns, and G their derivative by e_i. Weights for errors that the points of
 an image share are then algebra with 6 x 6 matrices (`calib.photographs.shared_errors`).
 
-Parameters here: `placed` or `start`, poses of camera and board with the intrinsics; `free`, indices of the
-fitted intrinsics, with a `prior` if they have one, and `now` their values, (f,); `noise`, sizes of errors; `scaled`,
-whether the size of the board is fitted too; `intrinsics`, (9,); `mounts`, possible mounts of the camera.
+Parameters here: `placed` or `start`, poses of camera and board with the intrinsics; `unknowns`, what is fitted
+besides these poses; `noise`, sizes of errors; `intrinsics`, (9,); `mounts`, possible mounts of the camera.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -36,6 +35,7 @@ from calib.photographs.detection import DetectedImage
 
 Mount = Literal["tool", "base"]
 SIDES: dict[Mount, str] = {"tool": "on the tool", "base": "beside the robot"}
+OTHER: dict[Mount, Mount] = {"tool": "base", "base": "tool"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +70,13 @@ class BoardScene(ReadOnlyArrays):
 
     def select_images(self, chosen: BoolArray) -> BoardScene:
         """Return the scene with the chosen images, (n,), and their points."""
-        number = np.cumsum(chosen) - 1
-        kept = chosen[self.image]
         names = tuple(name for name, keep in zip(self.names, chosen, strict=True) if keep)
-        return replace(
-            self,
-            names=names,
-            tool=self.tool[chosen],
-            image=number[self.image[kept]],
-            body=self.body[kept],
-            pixels=self.pixels[kept],
-        )
+        kept = self.with_points(chosen[self.image])
+        return replace(kept, names=names, tool=self.tool[chosen], image=(np.cumsum(chosen) - 1)[kept.image])
+
+    def image_alone(self, i: int) -> BoardScene:
+        """Return the scene with one image."""
+        return self.select_images(np.arange(len(self)) == i)
 
     def with_points(self, chosen: BoolArray) -> BoardScene:
         """Return the scene with the chosen points, (m,), and all images."""
@@ -96,6 +92,10 @@ class BoardScene(ReadOnlyArrays):
     def counts(self) -> IntArray:
         """Points in each image, (n,)."""
         return np.bincount(self.image, minlength=len(self))
+
+    def rms_by_image(self, errors: FloatArray) -> FloatArray:
+        """Return the root mean square length of errors (m, 2) in each image, (n,)."""
+        return np.sqrt(self.sums(np.sum(errors**2, axis=1)) / np.maximum(self.counts, 1))
 
 
 def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: FloatArray) -> BoardScene:
@@ -129,11 +129,12 @@ class HandEyePlacement(ReadOnlyArrays):
     intrinsics: FloatArray
     scale: float = 1.0
 
-    def step(self, step: FloatArray, free: Sequence[int]) -> HandEyePlacement:
+    def step(self, step: FloatArray, unknowns: HandEyeUnknowns) -> HandEyePlacement:
         """Return the placement after a step [camera 6, board 6, intrinsics, scale], (k,), as columns of `ImageSums`."""
-        intrinsics = self.intrinsics.copy()
-        intrinsics[list(free)] += step[12 : 12 + len(free)]
-        scale = self.scale + (float(step[12 + len(free)]) if len(step) > 12 + len(free) else 0.0)
+        intrinsics, scale = self.intrinsics.copy(), self.scale
+        intrinsics[list(unknowns.free)] += step[unknowns.lens]
+        if unknowns.scaled:
+            scale += float(step[unknowns.lens.stop])
         return HandEyePlacement(
             _step_pose(self.camera, step[:6]), _step_pose(self.board, step[6:12]), intrinsics, scale
         )
@@ -144,6 +145,31 @@ def _step_pose(pose: FloatArray, step: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
+class HandEyeUnknowns(ReadOnlyArrays):
+    """Unknowns of a fit besides the poses of camera and board.
+
+    Attributes:
+        free: Indices of the fitted intrinsics.
+        expected, sigma: Their expected values and sigmas, (f,) each.
+        scaled: Whether the size of the board is fitted.
+    """
+
+    free: tuple[int, ...] = ()
+    expected: FloatArray = field(default_factory=lambda: np.zeros(0))
+    sigma: FloatArray = field(default_factory=lambda: np.zeros(0))
+    scaled: bool = False
+
+    @property
+    def lens(self) -> slice:
+        """Columns of the intrinsics."""
+        return slice(12, 12 + len(self.free))
+
+
+POSES = HandEyeUnknowns()
+"""Only the poses of camera and board are fitted."""
+
+
+@dataclass(frozen=True, eq=False)
 class ImageSums(ReadOnlyArrays):
     """Residuals and derivatives, summed over the points of each image; see the module docstring.
 
@@ -151,6 +177,7 @@ class ImageSums(ReadOnlyArrays):
         jj, jg, gg: J^T J, J^T G, G^T G, (n, k, k), (n, k, 6), (n, 6, 6).
         jr, gr, rr: J^T r, G^T r, r^T r, (n, k), (n, 6), (n,).
         n_rows: Rows of each image, (n,).
+        weight, off: Prior of the unknowns: 1 / sigma^2 (0: none), and present minus expected values, (k,) each.
         n_arm: Number of columns, the last ones, for errors of the arm (`calib.photographs.arm_errors`).
     """
 
@@ -161,6 +188,8 @@ class ImageSums(ReadOnlyArrays):
     gr: FloatArray
     rr: FloatArray
     n_rows: IntArray
+    weight: FloatArray
+    off: FloatArray
     n_arm: int = 0
 
     def with_columns(self, by_unknowns: FloatArray, by_errors: FloatArray, n_arm: int = 0) -> ImageSums:
@@ -178,7 +207,9 @@ class ImageSums(ReadOnlyArrays):
         jr = np.concatenate(
             [self.jr, np.einsum("nck,nk->nc", a, self.jr) + np.einsum("nck,nk->nc", b, self.gr)], axis=1
         )
-        return replace(self, jj=jj, jg=np.concatenate([self.jg, new_g], axis=1), jr=jr, n_arm=n_arm)
+        weight, off = (np.pad(part, (0, a.shape[1])) for part in (self.weight, self.off))
+        jg = np.concatenate([self.jg, new_g], axis=1)
+        return replace(self, jj=jj, jg=jg, jr=jr, weight=weight, off=off, n_arm=n_arm)
 
     def with_arm(self, twists: FloatArray) -> ImageSums:
         """Return the sums with further columns for errors of the arm, which move the tool by `twists`, (n, 6, k)."""
@@ -199,7 +230,7 @@ def residuals(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
 
 
 def rows(
-    scene: BoardScene, placed: HandEyePlacement, free: Sequence[int], scaled: bool = False
+    scene: BoardScene, placed: HandEyePlacement, unknowns: HandEyeUnknowns = POSES
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residuals (m, 2) [px], J (m, 2, k) and G (m, 2, 6)."""
     points, poses = points_in_camera(scene, placed)
@@ -208,8 +239,8 @@ def rows(
     turned = poses[scene.image, :3, :3]
     by_camera = np.concatenate([-np.tile(np.eye(3), (len(points), 1, 1)), cross_matrices(points)], axis=2)
     by_board = np.concatenate([turned, -turned @ cross_matrices(body)], axis=2)
-    columns = [by_point @ by_camera, by_point @ by_board, by_number[:, :, list(free)]]
-    if scaled:
+    columns = [by_point @ by_camera, by_point @ by_board, by_number[:, :, list(unknowns.free)]]
+    if unknowns.scaled:
         columns.append(by_point @ np.einsum("kab,kb->ka", turned, scene.body)[:, :, None])
     return (
         pixels - scene.pixels,
@@ -230,16 +261,19 @@ def _robot_error_derivative(scene: BoardScene, placed: HandEyePlacement, body: F
     return -np.concatenate([turned, -turned @ cross_matrices(carried)], axis=2)
 
 
-def linearise(scene: BoardScene, placed: HandEyePlacement, free: Sequence[int], scaled: bool = False) -> ImageSums:
+def linearise(scene: BoardScene, placed: HandEyePlacement, unknowns: HandEyeUnknowns = POSES) -> ImageSums:
     """Return residuals and derivatives, summed over the points of each image; see `rows`."""
-    r, j, g = rows(scene, placed, free, scaled)
+    r, j, g = rows(scene, placed, unknowns)
     k = j.shape[2]
     wide = np.concatenate([j, g, r[:, :, None]], axis=2)
     images = (part.reshape(-1, k + 7) for part in np.split(wide, np.cumsum(scene.counts)[:-1]))
     squares = np.array([part.T @ part for part in images])
     jj, jg, gg = squares[:, :k, :k], squares[:, :k, k:-1], squares[:, k:-1, k:-1]
     jr, gr, rr = squares[:, :k, -1], squares[:, k:-1, -1], squares[:, -1, -1]
-    return ImageSums(jj, jg, gg, jr, gr, rr, 2 * scene.counts)
+    weight, off = np.zeros((2, k))
+    weight[unknowns.lens] = 1.0 / unknowns.sigma**2
+    off[unknowns.lens] = placed.intrinsics[list(unknowns.free)] - unknowns.expected
+    return ImageSums(jj, jg, gg, jr, gr, rr, 2 * scene.counts, weight, off)
 
 
 def plane_errors_on_board(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:

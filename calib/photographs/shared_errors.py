@@ -27,11 +27,12 @@ Reference: patterson1971.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.numerics import linalg
 from calib.photographs.scene import ImageSums
 
@@ -65,14 +66,6 @@ class ErrorSizes:
         return np.repeat([self.shift, self.turn], 3)
 
 
-@dataclass(frozen=True, eq=False)
-class IntrinsicsPrior(ReadOnlyArrays):
-    """Expected values and sigmas of the fitted intrinsics, (k,) each; infinite sigma: no expectation."""
-
-    values: FloatArray
-    sigma: FloatArray
-
-
 def gains(linear: ImageSums, noise: ErrorSizes) -> FloatArray:
     """Return K_i of the module docstring, (n, 6, 6)."""
     s = noise.sizes
@@ -80,25 +73,18 @@ def gains(linear: ImageSums, noise: ErrorSizes) -> FloatArray:
     return s[:, None] * np.linalg.solve(inner, np.broadcast_to(np.diag(s), inner.shape))
 
 
-def prior_of(
-    linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the diagonal of P, (k,), and the differences of unknowns from their expected values, (k,)."""
-    weight, off = np.zeros((2, linear.jr.shape[1]))
-    if prior is not None:
-        lens = slice(12, 12 + len(now))
-        weight[lens], off[lens] = 1.0 / prior.sigma**2, now - prior.values
+def _weight(linear: ImageSums, noise: ErrorSizes) -> FloatArray:
+    """The diagonal of P, (k,)."""
+    weight = linear.weight.copy()
     if linear.n_arm:
         weight[-linear.n_arm :] = 1.0 / noise.arm**2
-    return weight, off
+    return weight
 
 
-def normal_equations(
-    linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
+def normal_equations(linear: ImageSums, noise: ErrorSizes) -> tuple[FloatArray, FloatArray, float]:
     """Return A (k, k), b (k,) and r^T V^-1 r with the prior's part; see the module docstring."""
     gain, square = gains(linear, noise), noise.pixel**2
-    weight, off = prior_of(linear, noise, prior, now)
+    weight, off = _weight(linear, noise), linear.off
     jgk = linear.jg @ gain
     a = np.sum(linear.jj - jgk @ linear.jg.transpose(0, 2, 1), axis=0) / square + np.diag(weight)
     b = np.sum(linear.jr - np.einsum("nab,nb->na", jgk, linear.gr), axis=0) / square + weight * off
@@ -106,9 +92,9 @@ def normal_equations(
     return a, b, c + float(np.sum(weight * off**2))
 
 
-def deviance(linear: ImageSums, noise: ErrorSizes, prior: IntrinsicsPrior | None, now: FloatArray) -> float:
-    """Return minus twice the log-likelihood at the best step of a linear problem, up to a constant; `now` is (f,)."""
-    a, b, c = normal_equations(linear, noise, prior, now)
+def deviance(linear: ImageSums, noise: ErrorSizes) -> float:
+    """Return minus twice the log-likelihood at the best step of a linear problem, up to a constant."""
+    a, b, c = normal_equations(linear, noise)
     return _log_v(linear, noise) + c - float(b @ linalg.lstsq(a, b, rcond=1e-12))
 
 
@@ -120,22 +106,20 @@ def _log_v(linear: ImageSums, noise: ErrorSizes) -> float:
     return own + (2 * linear.n_arm * float(np.log(noise.arm)) if linear.n_arm else 0.0)
 
 
-def criterion(
-    linear: ImageSums, logs: FloatArray, prior: IntrinsicsPrior | None, now: FloatArray
-) -> tuple[float, FloatArray]:
+def criterion(linear: ImageSums, logs: FloatArray) -> tuple[float, FloatArray]:
     """Return minus twice the restricted log-likelihood of the logarithms of sizes (3,) or (4,), and its gradient.
 
     With Q = V^-1 - V^-1 J A^-1 J^T V^-1 the gradient by the logarithm of a size whose errors move residuals by H is
     2 s_h^2 (tr(H^T Q H) - |H^T Q r|^2).
     """
     noise = _noise_of(logs)
-    a, b, c = normal_equations(linear, noise, prior, now)
+    a, b, c = normal_equations(linear, noise)
     if not np.all(np.diag(a) > 0):  # rounding, for sizes far from possible ones
         return _FAR, np.zeros(len(logs))
     scale = 1.0 / np.sqrt(np.diag(a))
     inverse = scale[:, None] * np.linalg.inv(scale[:, None] * a * scale) * scale
     log_a = float(np.linalg.slogdet(scale[:, None] * a * scale)[1] - 2 * np.sum(np.log(scale)))
-    step, (weight, off) = -inverse @ b, prior_of(linear, noise, prior, now)
+    step, weight, off = -inverse @ b, _weight(linear, noise), linear.off
     left = (np.eye(6) - linear.gg @ gains(linear, noise)) / noise.pixel**2  # G^T V^-1 = left G^T
     by_unknowns = left @ linear.jg.transpose(0, 2, 1)
     traces = np.diagonal(left @ linear.gg - by_unknowns @ inverse @ by_unknowns.transpose(0, 2, 1), axis1=1, axis2=2)
@@ -151,13 +135,11 @@ def criterion(
     return _log_v(linear, noise) + log_a + c + float(b @ step), np.array(gradient)
 
 
-def curvature(
-    linear: ImageSums, logs: FloatArray, prior: IntrinsicsPrior | None, now: FloatArray
-) -> tuple[IntArray, FloatArray]:
+def curvature(linear: ImageSums, logs: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return the sizes above the smallest, (k,), and second derivatives of the criterion by these, (k, k)."""
     free = np.flatnonzero(np.exp(logs) > 30 * _SMALLEST)
     unit = np.eye(len(logs))[free] * _STEP
-    ends = [[criterion(linear, logs + sign * step, prior, now)[1][free] for sign in (1, -1)] for step in unit]
+    ends = [[criterion(linear, logs + sign * step)[1][free] for sign in (1, -1)] for step in unit]
     slopes = np.array([ahead - back for ahead, back in ends]).reshape(len(free), len(free)) / (2 * _STEP)
     return free, (slopes + slopes.T) / 2
 
@@ -173,12 +155,10 @@ def _noise_of(logs: FloatArray) -> ErrorSizes:
     return ErrorSizes(pixel, 0.0 if shift < _SMALLEST else shift, 0.0 if turn < _SMALLEST else turn, *arm)
 
 
-def find_noise(
-    linear: ImageSums, prior: IntrinsicsPrior | None, now: FloatArray, near: ErrorSizes | None = None
-) -> ErrorSizes:
-    """Return the sizes of the errors by restricted maximum likelihood, at the fitted intrinsics `now`, (k,).
+def find_noise(linear: ImageSums, near: ErrorSizes | None = None) -> ErrorSizes:
+    """Return the sizes of the errors by restricted maximum likelihood; `near` are first values.
 
-    The size of the arm's errors is estimated if `linear` has such columns. `near` are first values.
+    The size of the arm's errors is estimated if `linear` has such columns.
     """
     low = logarithms(ErrorSizes(1e-3), linear)
     bounds = list(zip(low, np.log([1e3, 0.1, 0.1, 0.1]), strict=False))
@@ -190,13 +170,11 @@ def find_noise(
     if linear.n_arm:
         starts = [np.append(start, np.log(arm)) for start in starts for arm in _ARM_STARTS]
 
-    def cost(logs: FloatArray) -> tuple[float, FloatArray]:
-        return criterion(linear, logs, prior, now)
-
+    cost = partial(criterion, linear)
     ends = [scipy.optimize.minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in starts]
     at = np.asarray(min(ends, key=lambda end: end.fun).x)
     for _ in range(_POLISHED):
-        free, slopes = curvature(linear, at, prior, now)
+        free, slopes = curvature(linear, at)
         if len(free) == 0 or linalg.eigvalsh(slopes)[0] <= 1e-6:
             break
         step = np.linalg.solve(slopes, cost(at)[1][free])

@@ -12,6 +12,7 @@ If the mount of the camera is unknown, both are tried; the wrong mount does not 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -39,12 +40,15 @@ class Start(ReadOnlyArrays):
     Attributes:
         scene: The images, with the mount that fits.
         placed: Approximate poses of camera and board.
-        rms: Root mean square residual of each image, (n,) [px].
     """
 
     scene: BoardScene
     placed: HandEyePlacement
-    rms: FloatArray
+
+    @cached_property
+    def rms(self) -> FloatArray:
+        """Root mean square residual of each image, (n,) [px]."""
+        return image_rms(self.scene, self.placed)
 
     @property
     def typical(self) -> float:
@@ -66,14 +70,12 @@ def start(scene: BoardScene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...
         )
     views, found = single_views(scene, intrinsics)
     usable = np.flatnonzero(found)
-    best: Start | None = None
+    tried: list[Start] = []
     for mount in mounts:
-        candidate = _start(replace(scene, mount=mount), intrinsics, views, usable)
-        best = candidate if best is None or candidate.typical < best.typical else best
-        if best.typical < _GOOD:
+        tried.append(_start(replace(scene, mount=mount), intrinsics, views, usable))
+        if tried[-1].typical < _GOOD:
             break
-    assert best is not None
-    return best
+    return min(tried, key=lambda candidate: candidate.typical)
 
 
 def _start(scene: BoardScene, intrinsics: FloatArray, views: FloatArray, usable: IntArray) -> Start:
@@ -84,8 +86,7 @@ def _start(scene: BoardScene, intrinsics: FloatArray, views: FloatArray, usable:
 
     def start_at(places: Places, steps: int = 0) -> Start:
         improved = refine_places(sightings, places, steps=steps) if steps else places
-        placed = HandEyePlacement(*improved, intrinsics)
-        return Start(scene, placed, image_rms(scene, placed))
+        return Start(scene, HandEyePlacement(*improved, intrinsics))
 
     whole = start_at(solve_poses(links[usable], views[usable], now, none), _STEPS)
     if whole.typical < _GOOD or len(usable) <= _AT_ONCE:
@@ -100,7 +101,7 @@ def _start(scene: BoardScene, intrinsics: FloatArray, views: FloatArray, usable:
 
 def image_rms(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
     """Return the root mean square residual of each image, (n,) [px]; large for a board behind the camera."""
-    errors = np.sum(residuals(scene, placed) ** 2, axis=1)
-    behind = points_in_camera(scene, placed)[0][:, 2] <= 0
-    errors = np.where(behind, np.maximum(errors, float(max(scene.size)) ** 2), errors)
-    return np.sqrt(scene.sums(errors) / np.maximum(scene.counts, 1))
+    errors, behind = residuals(scene, placed), points_in_camera(scene, placed)[0][:, 2] <= 0
+    lengths = np.linalg.norm(errors, axis=1)
+    lengths[behind] = np.maximum(lengths[behind], max(scene.size))
+    return scene.rms_by_image(lengths[:, None])

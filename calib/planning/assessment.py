@@ -336,7 +336,7 @@ def accuracy_by_count(
     least = max(1, -(-rank_left // of_a_pose))
     if counts is None:
         counts = tuple(int(m) for m in np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))))
-    space = Spacing(np.zeros((len(candidates), 3)), 0.0, np.ones(len(candidates), dtype=bool))
+    space = Spacing.free(np.ones(len(candidates), dtype=bool))
     table = []
     for count in counts:
         uniform = _accuracy(rows[uniform_start(np.arange(n), count)], priors, task_rows, 1.0)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.table import Table
@@ -11,6 +12,8 @@ from rich.table import Table
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import millimetres
 from calib.core.base.words import as_data, count_noun, listing, plain_text, sentence, text_table
+from calib.core.commands.next_steps import NOISE, words_of
+from calib.core.data.measurements import Measurements
 from calib.core.numerics.identifiability import Rank
 from calib.core.numerics.null_space import UnseenGroup, describe_group, natural_coefficients
 from calib.core.numerics.observability import INDICES, TaskIndex
@@ -70,12 +73,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
             "accuracy_mm": _task(a.accuracy),
             "beside_common_motion_mm": millimetres(a.rms_without_common),
             "by_count": [
-                {
-                    "count": row.count,
-                    "uniform": None if row.uniform is None else _task(row.uniform),
-                    "chosen": None if row.chosen is None else _task(row.chosen),
-                }
-                for row in a.by_count
+                {"count": row.count, "uniform": _task(row.uniform), "chosen": _task(row.chosen)} for row in a.by_count
             ],
             "near_singular": list(a.near_singular),
             "left_out": list(a.left_out),
@@ -207,13 +205,12 @@ def _pair(task: TaskIndex) -> tuple[str, str]:
     )  # type: ignore[return-value]
 
 
-def _task(task: TaskIndex) -> dict[str, object]:
+def _task(task: TaskIndex | None) -> dict[str, object] | None:
     """The error in mm; unknown where no parameter moves a position."""
-    return {
-        "rms": millimetres(task.rms or math.nan),
-        "max": millimetres(task.maximum or math.nan),
-        "worst_pose": task.worst_pose,
-    }
+    if task is None:
+        return None
+    rms, largest = (millimetres(value or math.nan) for value in (task.rms, task.maximum))
+    return {"rms": rms, "max": largest, "worst_pose": task.worst_pose}
 
 
 def _rank(rank: Rank) -> dict[str, object]:
@@ -229,14 +226,32 @@ def _group(a: Assessment, k: int) -> dict[str, object]:
 
 
 def _parameter_rows(a: Assessment) -> list[dict[str, Any]]:
-    return [
-        {
-            "name": parameter.name,
-            "unit": parameter.unit,
-            "sigma": parameter.sigma,
-            "prior": parameter.prior,
-            "std": float(std) * parameter.per_si,
-            "part": float(part),
-        }
-        for parameter, std, part in zip(a.free_parameters, a.std, a.part_left, strict=True)
-    ]
+    rows = zip(a.rows(), a.free_parameters, a.part_left, strict=True)
+    return [row | {"prior": parameter.prior, "part": float(part)} for row, parameter, part in rows]
+
+
+_POSES = ("--sigma-mm", "--parameters", "--result", "--task")
+"""Options with the same meaning in all commands about poses."""
+
+
+def advice_after_check(
+    assessment: Assessment, robot: str, poses: object, data: Sequence[str], typed: Mapping[str, Sequence[str]]
+) -> str:
+    """Return the next step after an assessment.
+
+    Args:
+        data: DATA as typed; empty if poses were sampled.
+        typed: Options as typed, from `typed_options`.
+    """
+    if not data:
+        words: tuple[str, ...] = ("calib", "sample", robot, "--count", "1000", "--seed", "1", "--out", "poses.csv")
+        return f"Next: write poses to choose from: {shlex.join(words)}"
+    if assessment.determination.missing:
+        hold = "hold parameters that are named above (`held` in the description), or add poses, and check again"
+        return f"Next: {hold}: {shlex.join(('calib', 'check', robot, *data, *words_of(typed, tuple(typed))))}"
+    if isinstance(poses, Measurements):
+        options = (*words_of(typed, NOISE), "--validate", "0.25", "--out", "out/robot")
+        words = ("calib", "fit", robot, *data, *options)
+        return f"Next: fit these measurements: {shlex.join(words)}"
+    words = ("calib", "select", robot, *data, "--count", "40", *words_of(typed, _POSES), "--out", "chosen.csv")
+    return f"Next: choose the poses to measure: {shlex.join(words)}"

@@ -20,8 +20,9 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import NotIdentifiableError
+from calib.planning.rank_three_scores import Scores
 from calib.planning.selection_problem import TASK, SelectionProblem
-from calib.planning.selection_scores import Scores, scores
+from calib.planning.selection_scores import scores
 
 _RISE = 1e-10
 """Least relative rise of an index; a smaller rise is rounding."""
@@ -34,23 +35,33 @@ class Spacing:
     """Rules on which candidates may be chosen next.
 
     Attributes:
+        usable: Mask of the candidates that may be chosen, (n_candidates,).
+        kind: Kind of each candidate, (n_candidates,); only candidates of a kind are exchanged.
+        pose: Pose of each candidate, (n_candidates,); candidates of a pose need no distance.
         points: Positions of the targets at each candidate, (n_candidates, n) [m].
         distance: Least distance between chosen poses [m]; 0 for none.
-        usable: Mask of the candidates that may be chosen, (n_candidates,).
-        pose: Pose of each candidate, (n_candidates,); candidates of a pose need no distance. None: each has its own.
-        kind: Kind of each candidate, (n_candidates,); only candidates of a kind are exchanged. None: any.
     """
 
-    points: FloatArray
-    distance: float
     usable: BoolArray
-    pose: IntArray | None = None
-    kind: IntArray | None = None
+    kind: IntArray
+    pose: IntArray
+    points: FloatArray
+    distance: float = 0.0
+
+    @staticmethod
+    def free(usable: BoolArray) -> Spacing:
+        """Return rules without a distance, for usable (n_candidates,) poses of one kind."""
+        n = len(usable)
+        return Spacing(usable, np.broadcast_to(np.intp(0), n), np.arange(n), np.zeros((n, 0)))
+
+    def select(self, index: IntArray) -> Spacing:
+        """Return the rules for some candidates, (n,)."""
+        usable, kind, pose, points = self.usable[index], self.kind[index], self.pose[index], self.points[index]
+        return Spacing(usable, kind, pose, points, self.distance)
 
     def is_same_kind(self, candidate: int) -> BoolArray:
         """Return the mask of the candidates of the same kind, (n_candidates,)."""
-        result: BoolArray = np.ones_like(self.usable) if self.kind is None else self.kind == self.kind[candidate]
-        return result
+        return np.asarray(self.kind == self.kind[candidate])
 
     def is_allowed(self, chosen: BoolArray) -> BoolArray:
         """Return the mask of the candidates that may be added to a choice, (n_candidates,)."""
@@ -58,9 +69,7 @@ class Spacing:
         if self.distance > 0 and np.any(chosen):
             candidates = np.flatnonzero(free)
             nearest, _ = scipy.spatial.cKDTree(self.points[chosen]).query(self.points[candidates])
-            near = nearest < self.distance
-            if self.pose is not None:
-                near &= ~np.isin(self.pose[candidates], self.pose[chosen])
+            near = (nearest < self.distance) & ~np.isin(self.pose[candidates], self.pose[chosen])
             free[candidates[near]] = False
         return free
 
@@ -77,17 +86,15 @@ class Spacing:
         if self.distance == 0:
             return tried
         rest = np.setdiff1d(np.flatnonzero(self.usable), tried)
-        pose, kind = (
-            np.arange(len(self.usable)) if self.pose is None else self.pose,
-            np.zeros(len(self.usable), dtype=np.intp) if self.kind is None else self.kind,
-        )
-        room = np.bincount(kind[tried], minlength=int(np.max(kind)) + 1)
+        room = np.bincount(self.kind[tried], minlength=int(np.max(self.kind)) + 1)
         kept: list[int] = []
         for candidate in (*tried, *rest):
             gaps = np.linalg.norm(self.points[kept] - self.points[candidate], axis=1)
-            if room[kind[candidate]] and np.all((gaps >= self.distance) | (pose[kept] == pose[candidate])):
+            if room[self.kind[candidate]] and np.all(
+                (gaps >= self.distance) | (self.pose[kept] == self.pose[candidate])
+            ):
                 kept.append(int(candidate))
-                room[kind[candidate]] -= 1
+                room[self.kind[candidate]] -= 1
             if len(kept) == count:
                 break
         return np.array(kept, dtype=np.intp)
@@ -114,8 +121,7 @@ def uniform_start(usable: IntArray, count: int) -> IntArray:
     """Return `count` of the usable candidates (n,), evenly spread over their order, (count,)."""
     if count == 0:
         return usable[:0]
-    result: IntArray = usable[(2 * np.arange(count) + 1) * len(usable) // (2 * count)]
-    return result
+    return usable[(2 * np.arange(count) + 1) * len(usable) // (2 * count)]
 
 
 def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Spacing) -> Exchange:
@@ -175,7 +181,7 @@ def swap(done: Exchange, spacing: Spacing) -> Exchange:
     for _ in range(_MAX_PASSES):
         before = state.value
         for removed in np.flatnonzero(chosen):
-            if not state.spares(int(removed)):
+            if not state.spares(np.array([removed]))[0]:
                 continue
             chosen[removed] = False
             smaller = state.after_move(int(removed), add=False)

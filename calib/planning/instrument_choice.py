@@ -101,7 +101,7 @@ class PoseGroupPairs:
 def pairs_of(groups: Groups, poses: PoseRows) -> PoseGroupPairs:
     """Return the candidates: all pairs of the n poses and the groups."""
     n, n_groups = len(poses.rows), len(groups.members)
-    columns_of_groups = [np.concatenate([_range(poses.blocks[name]) for name in members]) for members in groups.members]
+    columns_of_groups = [np.r_[tuple(poses.blocks[name] for name in members)] for members in groups.members]
     width = max(len(columns) for columns in columns_of_groups)
     rows = poses.rows
     if groups.chosen:
@@ -144,7 +144,3 @@ def require_planned_touches(robot: Robot, groups: Groups, poses: Poses) -> None:
                 f"{poses.path}: instrument '{instrument.name}' reads no numbers, and the poses do not say what it"
                 f" touches; add a column '{instrument.text_columns()[0]}' that names it, empty where nothing is touched"
             )
-
-
-def _range(block: slice) -> IntArray:
-    return np.arange(block.start, block.stop)

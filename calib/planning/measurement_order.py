@@ -44,8 +44,7 @@ def distances_from(joints: FloatArray, start: FloatArray) -> FloatArray:
         start: Present joint values of the robot, (n_actuated,) [m or rad].
     """
     points = _points(joints, start)
-    result: FloatArray = np.max(np.abs(points[1:] - points[0]), axis=1)
-    return result
+    return np.asarray(np.max(np.abs(points[1:] - points[0]), axis=1))
 
 
 def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> IntArray:

@@ -26,7 +26,7 @@ from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import distances_from
 from calib.planning.rank_three_scores import DeterminantScores, TaskScores
 from calib.planning.selection_problem import DETERMINED, TASK
-from calib.planning.selection_setting import Request, prepare
+from calib.planning.selection_setting import prepare
 
 ENOUGH = 0.8
 """A nearer pose is taken if its gain is at least this part of the best gain."""
@@ -80,8 +80,8 @@ def next_pose(
         DataError: Two candidates are equal.
         NotIdentifiableError: The candidates do not determine the positions at these same poses.
     """
-    request = Request(TASK, 1, 0.0, groups_of(robot, ALL, 1))
-    setting = prepare(robot, candidates, request, measured, None, (), True, sigma)
+    groups = groups_of(robot, ALL, 1)
+    setting = prepare(robot, candidates, TASK, 1, groups, measured, skip_unreachable=True, sigma=sigma)
     problem, usable = setting.problem, setting.space.usable
     if not np.any(usable):
         return None

@@ -126,11 +126,10 @@ def _draw_poses(
     met = np.flatnonzero(misses < MET)
     if len(met) < count:
         return _poses(robot, tried.joints[:count])
-    kept = {name: readings_of_visits(readings, met[:count]) for name, readings in touched.items()}
-    expected = {
-        name: Readings(readings.visits, readings.pairs, np.zeros((len(readings), 0)), None, readings.details)
-        for name, readings in kept.items()
-    }
+    expected = {}
+    for name, readings in touched.items():
+        kept = readings_of_visits(readings, met[:count])
+        expected[name] = Readings(kept.visits, kept.pairs, np.zeros((len(kept), 0)), None, kept.details)
     return replace(_poses(robot, commands[met[:count]]), planned=expected)
 
 
@@ -139,11 +138,8 @@ def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
 
     At poses that cannot be assembled, nothing is read.
     """
-    result = {
-        instrument.name: np.zeros(len(poses), dtype=bool)
-        for instrument in robot.instruments
-        if instrument.may_see_nothing
-    }
+    names = [instrument.name for instrument in robot.instruments if instrument.may_see_nothing]
+    result = {name: np.zeros(len(poses), dtype=bool) for name in names}
     for start in range(0, len(poses) if result else 0, _AT_ONCE):
         part = poses.subset(np.arange(start, min(start + _AT_ONCE, len(poses))))
         columns = term_columns(robot, part.joints, part.conditions)
@@ -215,9 +211,11 @@ def _brought_into_sight(robot: Robot, first: Poses, generator: np.random.Generat
 
     Several such instruments share the poses evenly.
     """
-    frame_instruments = [own for own in robot.instruments if isinstance(own, FrameInstrument)]
-    drawn = [(own, own.sights(len(first), generator)) for own in frame_instruments]
-    seeing = [(own, sights) for own, sights in drawn if sights is not None]
+    seeing = [
+        (own, sights)
+        for own in robot.instruments
+        if isinstance(own, FrameInstrument) and (sights := own.sights(len(first), generator)) is not None
+    ]
     stand_ins, wanted = dict[str, Instrument](), dict[str, Readings]()
     for k, (own, sights) in enumerate(seeing):
         frames, visits = own.pairs(MEASUREMENT_FRAME), np.arange(k, len(first), len(seeing))

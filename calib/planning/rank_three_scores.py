@@ -11,43 +11,67 @@ With three coordinates per pose this change has rank three, and small matrices o
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.numerics import linalg
-from calib.planning.selection_problem import PoseRedundancy, SelectionProblem
+from calib.planning.selection_problem import DETERMINED, SelectionProblem
 
 _REFRESH = 32  # moves after which the determinant's small matrices are recomputed, against rounding
 _UPDATED = 1e-6  # least det(I - G) for an update; near zero, the update would lose too many digits
 
 
 @dataclass(frozen=True, eq=False)
-class ChoiceInformation:
-    """Information K (r, r) of the chosen candidates of a problem."""
+class Scores(ABC):
+    """Value of a choice, and its best next moves, by the information K (r, r) of the chosen candidates."""
 
     problem: SelectionProblem
     gathered: FloatArray
 
+    @property
+    @abstractmethod
+    def value(self) -> float:
+        """Larger is better; comparable between choices of equally many poses."""
+
+    @abstractmethod
+    def best_move(self, allowed: BoolArray, *, add: bool) -> int:
+        """Return the allowed candidate (n_candidates,) whose addition (or removal) is best."""
+
     def after_move(self, candidate: int, *, add: bool) -> Self:
-        """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
+        """Return the scores after adding (or removing) a candidate."""
         rows = self.problem.rows[candidate]
         return replace(self, gathered=self.gathered + (1.0 if add else -1.0) * rows.T @ rows)
 
-    def spares(self, candidate: int) -> bool:
-        """Return whether a chosen candidate can go; see `calib.planning.selection_scores.Scores`."""
-        return bool(self._sparing.spares(self.problem.rows[[candidate]])[0])
+    def spares(self, candidates: IntArray) -> BoolArray:
+        """Return which of the chosen candidates (n,) can each go while every direction stays determined, (n,)."""
+        whiten, least = self._redundancy
+        seen = self.problem.rows[candidates] @ whiten
+        left = np.eye(seen.shape[1]) - seen @ seen.transpose(0, 2, 1)
+        return np.asarray(linalg.eigvalsh(left)[:, 0] > least)
 
     @cached_property
-    def _sparing(self) -> PoseRedundancy:
-        return PoseRedundancy.from_choice(self.gathered)
+    def _redundancy(self) -> tuple[FloatArray, float]:
+        """X with X^T K X = I, (r, r), and the part of its information that every direction must keep.
+
+        With the diagonal of K scaled to ones, B K^-1 B^T is exact to about r eps times its condition number, so smaller
+        parts count as zero. For a singular K no pose is spared.
+        """
+        diagonal = np.diag(self.gathered)
+        scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
+        values, vectors = linalg.eigh(scale[:, None] * self.gathered * scale)
+        rounding = len(values) * float(np.finfo(float).eps) * float(values[-1])
+        if not values[0] > rounding:
+            return np.zeros_like(self.gathered), 1.0
+        return scale[:, None] * vectors / np.sqrt(values), max(DETERMINED, rounding / float(values[0]))
 
 
 @dataclass(frozen=True, eq=False)
-class DeterminantScores(ChoiceInformation):
+class DeterminantScores(Scores):
     """log det K, by rank-three updates.
 
     Attributes:
@@ -61,7 +85,7 @@ class DeterminantScores(ChoiceInformation):
     moves_since_update: int
 
     @classmethod
-    def from_problem(cls, problem: SelectionProblem, gathered: FloatArray) -> DeterminantScores:
+    def from_problem(cls, problem: SelectionProblem, gathered: FloatArray) -> Self:
         """Return the scores of a choice with this K, (r, r)."""
         inverse = np.linalg.inv(gathered)
         root = _products(problem.rows, _root(inverse))
@@ -74,16 +98,15 @@ class DeterminantScores(ChoiceInformation):
 
     def gains(self) -> FloatArray:
         """Return the rise of log det K by adding each candidate, (n_candidates,)."""
-        result: FloatArray = np.log(_determinants(self.seen, 1.0))
-        return result
+        return np.log(_determinants(self.seen, 1.0))
 
     def best_move(self, allowed: BoolArray, *, add: bool) -> int:
-        """Return the best next move; see `calib.planning.selection_scores.Scores`."""
+        """Return the best next move; see `Scores`."""
         factors = _determinants(self.seen, 1.0 if add else -1.0)
         return int(np.argmax(np.where(allowed, factors, -np.inf)))
 
-    def after_move(self, candidate: int, *, add: bool) -> DeterminantScores:
-        """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
+    def after_move(self, candidate: int, *, add: bool) -> Self:
+        """Return the scores after a move; see `Scores`."""
         sign = 1.0 if add else -1.0
         rows = self.problem.rows[candidate]
         gathered = self.gathered + sign * rows.T @ rows
@@ -92,12 +115,13 @@ class DeterminantScores(ChoiceInformation):
         if (
             self.moves_since_update >= _REFRESH or left < _UPDATED or linalg.eigvalsh(small)[0] <= 0
         ):  # the determinant alone may be positive with two negative eigenvalues
-            return DeterminantScores.from_problem(self.problem, gathered)
+            return self.from_problem(self.problem, gathered)
         half = np.linalg.solve(np.linalg.cholesky(small), rows @ self.inverse).T
         inverse = self.inverse - sign * half @ half.T
         through = _products(self.problem.rows, half)
         seen = self.seen - sign * np.einsum("icn,kcn->ikn", through, through)
-        return DeterminantScores(self.problem, gathered, inverse, seen, self.moves_since_update + 1)
+        moves = self.moves_since_update + 1
+        return replace(self, gathered=gathered, inverse=inverse, seen=seen, moves_since_update=moves)
 
 
 def _root(matrix: FloatArray) -> FloatArray:
@@ -119,16 +143,14 @@ def _products(rows: FloatArray, matrix: FloatArray) -> FloatArray:
 def _determinants(seen: FloatArray, sign: float) -> FloatArray:
     """det(I +- G) of every candidate; written out for three rows, much faster than factorisations."""
     if len(seen) != 3:
-        result: FloatArray = np.linalg.det(np.eye(len(seen)) + sign * seen.transpose(2, 0, 1))
-        return result
+        return np.asarray(np.linalg.det(np.eye(len(seen)) + sign * seen.transpose(2, 0, 1)))
     a, b, c = (1.0 + sign * seen[i, i] for i in range(3))
     d, e, f = sign * seen[0, 1], sign * seen[0, 2], sign * seen[1, 2]
-    written: FloatArray = a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)
-    return written
+    return np.asarray(a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e))
 
 
 @dataclass(frozen=True, eq=False)
-class TaskScores(ChoiceInformation):
+class TaskScores(Scores):
     """Minus trace(W K^-1), the square of the task index, by changes of rank three."""
 
     @cached_property
@@ -148,21 +170,18 @@ class TaskScores(ChoiceInformation):
     def gains(self) -> FloatArray:
         """Return the fall of trace(W K^-1) by adding each candidate, (n_candidates,)."""
         seen, task_rows = self._task_products
-        result: FloatArray = np.trace(np.linalg.solve(np.eye(seen.shape[1]) + seen, task_rows), axis1=1, axis2=2)
-        return result
+        return np.trace(np.linalg.solve(np.eye(seen.shape[1]) + seen, task_rows), axis1=1, axis2=2)
 
     def best_move(self, allowed: BoolArray, *, add: bool) -> int:
-        """Return the best next move; see `calib.planning.selection_scores.Scores`."""
+        """Return the best next move; see `Scores`."""
         if add:
             return int(np.argmax(np.where(allowed, self.gains(), -np.inf)))
         seen, task_rows = self._task_products
         candidates = np.flatnonzero(allowed)
         small = np.eye(seen.shape[1]) - seen[candidates]
-        solvable = self._sparing.spares(self.problem.rows[candidates])
-        candidates, small = (
-            (candidates[solvable], small[solvable])
-            if np.any(solvable)
-            else (candidates[:1], np.eye(seen.shape[1])[None])
-        )
+        solvable = self.spares(candidates)
+        if not np.any(solvable):
+            return int(candidates[0])
+        candidates, small = candidates[solvable], small[solvable]
         change = np.trace(np.linalg.solve(small, task_rows[candidates]), axis1=1, axis2=2)
         return int(candidates[np.argmin(change)])

@@ -18,9 +18,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.planning.exchange import Exchange
-from calib.planning.selection_bound import CERTIFIED, Relaxation, slopes
+from calib.core.base.arrays import FloatArray, IntArray
+from calib.planning.exchange import Exchange, Spacing
+from calib.planning.selection_bound import CERTIFIED, slopes
+from calib.planning.selection_problem import SelectionProblem
 from calib.planning.selection_setting import SelectionSetting
 
 SCREENED = 20_000
@@ -31,33 +32,23 @@ _FOR_EACH = 8  # searched candidates per requested candidate, if that is more
 
 @dataclass(frozen=True, eq=False)
 class CandidateSubset:
-    """The candidates that exchanges search.
+    """The candidates that exchanges search: their indices, ascending, (n,), and the problem and rules of these alone.
 
-    Attributes:
-        all_candidates: The setting with all candidates.
-        index: Searched candidates, ascending, (n,).
-        setting: The setting with these alone.
+    `n_all` is the number of all candidates.
     """
 
-    all_candidates: SelectionSetting
     index: IntArray
-    setting: SelectionSetting
-
-    @property
-    def is_part(self) -> bool:
-        """Whether some candidates are left out."""
-        return self.setting is not self.all_candidates
+    problem: SelectionProblem
+    space: Spacing
+    n_all: int
 
     def numbers_of(self, candidates: IntArray) -> IntArray:
         """Return the indices in this subset of candidates (n,), all of which must be in it."""
-        result: IntArray = np.searchsorted(self.index, candidates)
-        return result
+        return np.asarray(np.searchsorted(self.index, candidates))
 
     def with_all_numbers(self, result: Exchange) -> Exchange:
         """Return an exchange in this subset with the indices of all candidates."""
-        if not self.is_part:
-            return result
-        chosen = np.zeros(len(self.all_candidates.problem), dtype=bool)
+        chosen = np.zeros(self.n_all, dtype=bool)
         chosen[self.index[result.chosen]] = True
         history = tuple((a, b) if a < 0 else (int(self.index[a]), int(self.index[b])) for a, b in result.history)
         return replace(result, chosen=chosen, history=history)
@@ -65,54 +56,18 @@ class CandidateSubset:
 
 def first_candidates(setting: SelectionSetting, starts: IntArray) -> CandidateSubset:
     """Return the first candidates to search: the best at equal weights, and the starts (n,)."""
-    if not _is_screened(setting):
-        return CandidateSubset(setting, np.arange(len(setting.problem)), setting)
-    problem = setting.problem
     # without priors, K of all candidates is the identity
-    alike = problem.before + setting.request.count / len(problem) * np.eye(len(problem.strengths))
-    return _narrow(setting, slopes(problem, setting.request.index, alike), starts)
+    alike = setting.count / len(setting.problem) * np.eye(len(setting.problem.strengths))
+    return best_candidates(setting, setting.problem.before + alike, starts)
 
 
-def candidates_after_relaxation(
-    setting: SelectionSetting, relaxation: Relaxation, chosen: BoolArray
-) -> CandidateSubset:
-    """Return the candidates to search after the relaxation and a choice (n_candidates,)."""
-    if not _is_screened(setting):
-        return CandidateSubset(setting, np.arange(len(setting.problem)), setting)
-    problem = setting.problem
-    slope = slopes(problem, setting.request.index, problem.information_of(relaxation.weights))
-    return _narrow(setting, slope, np.flatnonzero(chosen | (relaxation.weights > 0)))
-
-
-def _is_screened(setting: SelectionSetting) -> bool:
-    request = setting.request
-    return request.index in CERTIFIED and request.minimum_distance == 0 and len(setting.problem) > SCREENED
-
-
-def _narrow(setting: SelectionSetting, slope: FloatArray, kept: IntArray) -> CandidateSubset:
-    """The candidates with the largest slope (n_candidates,), and the kept ones (n,)."""
-    counts = setting.counts
-    ranked = np.where(setting.space.usable, slope, -np.inf)
+def best_candidates(setting: SelectionSetting, gathered: FloatArray, kept: IntArray) -> CandidateSubset:
+    """Return the candidates with the largest slopes at K (r, r), and the kept ones (n,); all if not screened."""
+    problem, space, counts = setting.problem, setting.space, setting.counts
+    n_all = len(problem)
+    if setting.index not in CERTIFIED or space.distance > 0 or n_all <= SCREENED:
+        return CandidateSubset(np.arange(n_all), problem, space, n_all)
+    ranked = np.where(space.usable, slopes(problem, setting.index, gathered), -np.inf)
     best = setting.largest(ranked, np.maximum(_SEARCHED // len(counts), _FOR_EACH * counts))
     index = np.union1d(np.concatenate(best), kept).astype(np.intp)
-    problem, pairs, space = setting.problem, setting.pairs, setting.space
-    few = replace(
-        setting,
-        problem=replace(problem, rows=problem.rows[index]),
-        pairs=replace(
-            pairs,
-            pose=pairs.pose[index],
-            group=pairs.group[index],
-            rows=pairs.rows[index],
-            possible=pairs.possible[index],
-            n_read=pairs.n_read[index],
-        ),
-        space=replace(
-            space,
-            points=space.points[index],
-            usable=space.usable[index],
-            pose=None if space.pose is None else space.pose[index],
-            kind=None if space.kind is None else space.kind[index],
-        ),
-    )
-    return CandidateSubset(setting, index, few)
+    return CandidateSubset(index, replace(problem, rows=problem.rows[index]), space.select(index), n_all)

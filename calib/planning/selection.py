@@ -34,12 +34,12 @@ from calib.core.rows.candidates import WHITENED
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import order_in_blocks, travel
-from calib.planning.screening import CandidateSubset, candidates_after_relaxation, first_candidates
+from calib.planning.screening import CandidateSubset, best_candidates, first_candidates
 from calib.planning.selection_bound import CERTIFIED, log_phi, relax
 from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_result import Run, Selection
-from calib.planning.selection_scores import index_of_score, index_values
-from calib.planning.selection_setting import Request, SelectionSetting, prepare, require_count
+from calib.planning.selection_scores import index_values
+from calib.planning.selection_setting import SelectionSetting, prepare, require_count
 
 __all__ = ["Run", "Selection", "select"]
 
@@ -98,7 +98,6 @@ def select(
     rng = random_numbers(seed)
     groups = groups_of(robot, instruments, count)
     total = sum(count.values()) if isinstance(count, Mapping) else count
-    request = Request(index, total, minimum_distance, groups)
     candidates = as_poses(robot, candidates)
     check = check_poses(robot, candidates.joints) if checked else PoseCheck(("",) * len(candidates))
     blocked = np.flatnonzero(~check.is_free).tolist()
@@ -110,7 +109,7 @@ def select(
         raise InputError(f"{starts} starts: at least one is needed")
     kinds = ["random" if random_start else "uniform", *["random"] * (starts - 1)]
     prepare_without = partial(
-        prepare, robot, candidates, request, measured, task, skip_unreachable=skip_unreachable, sigma=sigma
+        prepare, robot, candidates, index, total, groups, measured, task, minimum_distance, skip_unreachable, sigma
     )
     with Workers(executor, starts) as workers:
         setting = prepare_without((*exclude, *blocked))
@@ -128,7 +127,7 @@ def select(
     uniform = np.isin(np.arange(len(setting.problem)), setting.uniform())
     nothing = np.zeros(len(setting.problem), dtype=bool)
     return Selection(
-        index=request.index,
+        index=index,
         chosen=pose[order],
         instruments=tuple(groups.names[g] for g in setting.pairs.group[chosen[order]] if groups.chosen),
         groups=groups.names if groups.chosen else (),
@@ -167,12 +166,13 @@ def _best_choice(
     """The runs from each start and the best choice; for an index with a bound, its efficiency and the bound."""
     starts = [setting.uniform() if kind == "uniform" else setting.random(rng) for kind in kinds]
     searched = first_candidates(setting, np.concatenate(starts))
-    results, runs = zip(*_run(searched, kinds, starts, workers, progress), strict=True)
+    results, runs = zip(*_run(setting, searched, kinds, starts, workers, progress), strict=True)
     best = max(results, key=lambda exchange: exchange.scores.value)
-    return _certify(setting, runs, best) if setting.request.index in CERTIFIED else (runs, best, None, None)
+    return _certify(setting, runs, best) if setting.index in CERTIFIED else (runs, best, None, None)
 
 
 def _run(
+    setting: SelectionSetting,
     searched: CandidateSubset,
     kinds: Sequence[str],
     starts: Sequence[IntArray],
@@ -180,22 +180,18 @@ def _run(
     progress: Progress | None = None,
 ) -> list[tuple[Exchange, Run]]:
     """Run the exchange from each of `starts`; `kinds` names them."""
-    setting, request = searched.setting, searched.setting.request
-    spread = [setting.space.select_spread(searched.numbers_of(start), request.count) for start in starts]
+    spread = [searched.space.select_spread(searched.numbers_of(start), setting.count) for start in starts]
     fewest = min(map(len, spread))
-    if fewest < request.count:
+    if fewest < setting.count:
         raise InputError(
-            f"only {fewest} of {request.count} poses can be chosen if they keep"
-            f" {millimetres(request.minimum_distance):g} mm from each other; give a smaller distance or count"
+            f"only {fewest} of {setting.count} poses can be chosen if they keep"
+            f" {millimetres(setting.space.distance):g} mm from each other; give a smaller distance or count"
         )
     runs = []
-    search = partial(_search, setting.problem, request.index, setting.space)
+    search = partial(_search, searched.problem, setting.index, searched.space)
     for kind, (inside, n_paper) in zip(kinds, results_in_order(search, spread, workers, progress), strict=True):
         result = searched.with_all_numbers(inside)
-        history = [
-            index_of_score(setting.problem, request.index, v, request.count, setting.sigma) for v in result.values
-        ]
-        runs.append((result, Run(kind, result.history[1:], tuple(history), n_paper)))
+        runs.append((result, Run(kind, result.history[1:], tuple(map(setting.index_of_score, result.values)), n_paper)))
     return runs
 
 
@@ -210,30 +206,28 @@ def _certify(
     setting: SelectionSetting, runs: tuple[Run, ...], best: Exchange
 ) -> tuple[tuple[Run, ...], Exchange, float, float]:
     """Bound all choices, start once more from the relaxed weights, and compare the best choice with the bound."""
-    problem, index, usable = setting.problem, setting.request.index, setting.space.usable
+    problem, index, usable = setting.problem, setting.index, setting.space.usable
     relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
     heaviest = np.concatenate(setting.largest(np.where(usable, relaxation.weights, -1.0), setting.counts))
-    searched = candidates_after_relaxation(setting, relaxation, best.chosen)
+    weighted = np.flatnonzero(best.chosen | (relaxation.weights > 0))
+    searched = best_candidates(setting, problem.information_of(relaxation.weights), weighted)
     starts = {"relaxed": np.sort(heaviest)}
-    if searched.is_part:
+    if len(searched.index) < searched.n_all:
         starts["best"] = np.flatnonzero(best.chosen)
-    for more, run in _run(searched, tuple(starts), tuple(starts.values())):
+    for more, run in _run(setting, searched, tuple(starts), tuple(starts.values())):
         best, runs = max(best, more, key=lambda exchange: exchange.scores.value), (*runs, run)
-    gathered = problem.information_of(best.chosen.astype(float))
-    if index == TASK:
-        least = float(np.exp(-relaxation.log_bound))
-        bound = index_of_score(problem, index, -least, setting.request.count, setting.sigma)
-        value = index_of_score(problem, index, -problem.task_trace(gathered), setting.request.count, setting.sigma)
-        return runs, best, min(1.0, bound / value), bound
-    efficiency = relaxation.efficiency(log_phi(problem, index, gathered))
-    return runs, best, efficiency, index_values(problem, best.chosen, setting.sigma)[index] / efficiency
+    log_phis = relaxation.log_bound, log_phi(problem, index, problem.information_of(best.chosen.astype(float)))
+    # scores by log phi: minus trace(W K^-1), log det K
+    scores = (-float(np.exp(-each)) if index == TASK else len(problem.strengths) * each for each in log_phis)
+    bound, value = map(setting.index_of_score, scores)
+    return runs, best, min(1.0, bound / value if index == TASK else value / bound), bound
 
 
 def _blocks(setting: SelectionSetting, chosen: IntArray) -> IntArray:
     """Block of each candidate, (n,): candidates of one setup and one group are measured without a change by hand."""
     setups = setting.poses.setups
     pose, group = setting.pairs.pose[chosen], setting.pairs.group[chosen]
-    return group if setups is None else setups[pose] * len(setting.request.groups.members) + group
+    return group if setups is None else setups[pose] * len(setting.groups.members) + group
 
 
 def _raw(setting: SelectionSetting, rows: FloatArray) -> dict[str, float]:

@@ -59,13 +59,9 @@ class Relaxation(ReadOnlyArrays):
     log_bound: float
     weights: FloatArray
 
-    def efficiency(self, log_phi: float) -> float:
-        """Return the index of a choice over its bound (for the task index: bound over index), at most 1."""
-        return float(min(1.0, np.exp(0.5 * (log_phi - self.log_bound))))
-
 
 def relax(
-    problem: SelectionProblem, index: str, chosen: BoolArray, usable: BoolArray, kind: IntArray | None = None
+    problem: SelectionProblem, index: str, chosen: BoolArray, usable: BoolArray, kinds: IntArray | None = None
 ) -> Relaxation:
     """Bound the index of any choice with as many poses of each kind as a given choice.
 
@@ -73,10 +69,10 @@ def relax(
         index: `O1` or `task`.
         chosen: A choice to start from, (n_candidates,).
         usable: Mask of the candidates that may be chosen, (n_candidates,); all others keep weight 0.
-        kind: Kind of each candidate as a number, (n_candidates,); None: one kind.
+        kinds: Kind of each candidate as a number, (n_candidates,); one kind if not given.
     """
     weights = chosen.astype(float)
-    kinds = kinds_of(kind, len(problem))
+    kinds = np.broadcast_to(np.intp(0), len(problem)) if kinds is None else kinds
     counts = np.bincount(kinds[chosen], minlength=int(np.max(kinds)) + 1)
     lowest = np.inf
     for _ in range(_ROUNDS):
@@ -106,11 +102,6 @@ def largest(slope: FloatArray | IntArray, kinds: IntArray, counts: IntArray) -> 
             members = members[slopes >= np.partition(slopes, len(members) - count)[len(members) - count]]
         result.append(members[np.argsort(-slope[members], kind="stable")[:count]])
     return result
-
-
-def kinds_of(kind: IntArray | None, n: int) -> IntArray:
-    """Return the kind of each of n candidates, (n,); for None all are of one kind."""
-    return np.broadcast_to(np.intp(0), n) if kind is None else kind
 
 
 def log_phi(problem: SelectionProblem, index: str, gathered: FloatArray) -> float:

@@ -26,9 +26,9 @@ with B = J (V - N P_NN^+ P_NV) S^-1 for a task pose with rows J, and c = mean of
 only priors hold. Without priors the index values are the published ones. A choice may use each candidate once.
 
 Without pose j of a choice, direction v keeps the part v^T (K - B_j^T B_j) v / v^T K v of its information. The least
-part over all directions is the smallest eigenvalue of I - B_j K^-1 B_j^T (`PoseRedundancy`). The eigenvalues of
-K - B_j^T B_j do not show a lost direction: the difference of two rounded matrices is wrong by eps |K| in every
-direction.
+part over all directions is the smallest eigenvalue of I - B_j K^-1 B_j^T (`calib.planning.rank_three_scores.Scores`).
+The eigenvalues of K - B_j^T B_j do not show a lost direction: the difference of two rounded matrices is wrong by eps
+|K| in every direction.
 """
 
 from __future__ import annotations
@@ -163,38 +163,3 @@ def _task(
     if np.linalg.norm(unheld) > OUTSIDE * np.linalg.norm(flat):
         return factor, float("inf")
     return factor, float(np.sum(held_part**2)) / n_positions
-
-
-@dataclass(frozen=True, eq=False)
-class PoseRedundancy:
-    """Test for poses that a choice can do without; see the module docstring.
-
-    Attributes:
-        whiten: X with X^T K X = I, (r, r).
-        least: Part of its information that every direction must keep.
-    """
-
-    whiten: FloatArray
-    least: float
-
-    @classmethod
-    def from_choice(cls, gathered: FloatArray) -> PoseRedundancy:
-        """Return the test for the choice with K (r, r).
-
-        With the diagonal of K scaled to ones, B K^-1 B^T is exact to about r eps times its condition number, so smaller
-        parts count as zero. For a singular K no pose is spared.
-        """
-        diagonal = np.diag(gathered)
-        scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
-        values, vectors = linalg.eigh(scale[:, None] * gathered * scale)
-        rounding = len(values) * float(np.finfo(float).eps) * float(values[-1])
-        if not values[0] > rounding:
-            return cls(np.zeros_like(gathered), 1.0)
-        return cls(scale[:, None] * vectors / np.sqrt(values), max(DETERMINED, rounding / float(values[0])))
-
-    def spares(self, rows: FloatArray) -> BoolArray:
-        """Return the mask of removable poses, (n,), from their rows B, (n, 3 n_targets, r)."""
-        seen = rows @ self.whiten
-        left = np.eye(rows.shape[1]) - seen @ seen.transpose(0, 2, 1)
-        result: BoolArray = linalg.eigvalsh(left)[:, 0] > self.least
-        return result

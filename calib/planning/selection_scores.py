@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -25,29 +24,12 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import require_known
 from calib.core.numerics import linalg
 from calib.core.numerics.observability import observability
-from calib.planning.rank_three_scores import ChoiceInformation, DeterminantScores, TaskScores
+from calib.planning.rank_three_scores import DeterminantScores, Scores, TaskScores
 from calib.planning.selection_problem import DETERMINED, TASK, SelectionProblem
 
 CHOICES = ("O1", "O2", "O3", "O4", "O5", TASK)
 _PINCHED = 4  # size of the block: eigenvectors of the smallest eigenvalues
 _BATCH = 16  # candidates whose eigenvalues are computed together
-
-
-class Scores(Protocol):
-    """Value of one choice, and its best next moves."""
-
-    @property
-    def value(self) -> float:
-        """Larger is better; comparable between choices of equally many poses."""
-
-    def best_move(self, allowed: BoolArray, *, add: bool) -> int:
-        """Return the allowed candidate (n_candidates,) whose addition (or removal) is best."""
-
-    def after_move(self, candidate: int, *, add: bool) -> Scores:
-        """Return the scores after adding (or removing) a candidate."""
-
-    def spares(self, candidate: int) -> bool:
-        """Return whether every direction stays determined without this chosen candidate."""
 
 
 def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: float = 0.0) -> Scores:
@@ -112,7 +94,7 @@ def index_of_score(problem: SelectionProblem, index: str, score: float, count: i
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum(ChoiceInformation):
+class Spectrum(Scores):
     """O2, O3, O4 or O5: functions of the singular values."""
 
     index: str
@@ -128,7 +110,7 @@ class Spectrum(ChoiceInformation):
         return float(spectral_index(linalg.eigvalsh(self.matrix)[None], self.index)[0])
 
     def best_move(self, allowed: BoolArray, *, add: bool) -> int:
-        """Return the best next move; see `calib.planning.selection_scores.Scores`."""
+        """Return the best next move; see `Scores`."""
         sign = 1.0 if add else -1.0
         candidates = np.flatnonzero(allowed)
         eigenvalues, vectors = linalg.eigh(self.matrix)
@@ -152,8 +134,7 @@ def _pinched_eigenvalues(eigenvalues: FloatArray, turned: FloatArray, sign: floa
     low = turned[:, :, :_PINCHED]
     block = np.diag(eigenvalues[:_PINCHED]) + sign * np.matmul(low.transpose(0, 2, 1), low)
     diagonal = eigenvalues[_PINCHED:] + sign * np.sum(turned[:, :, _PINCHED:] ** 2, axis=1)
-    result: FloatArray = np.concatenate([linalg.eigvalsh(block), diagonal], axis=1)
-    return result
+    return np.concatenate([linalg.eigvalsh(block), diagonal], axis=1)
 
 
 def spectral_index(eigenvalues: FloatArray, index: str) -> FloatArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import InputError, NotIdentifiableError, require_known
 from calib.core.base.memory import require_memory
 from calib.core.data.in_memory import PosesLike, as_poses
@@ -29,26 +29,9 @@ from calib.core.rows.candidates import (
 from calib.core.rows.unknowns import Unknowns
 from calib.planning.exchange import Spacing, uniform_start
 from calib.planning.instrument_choice import Groups, PoseGroupPairs, already_read, pairs_of, require_planned_touches
-from calib.planning.selection_bound import CERTIFIED, kinds_of, largest
+from calib.planning.selection_bound import CERTIFIED, largest
 from calib.planning.selection_problem import TASK, SelectionProblem, build_problem
-from calib.planning.selection_scores import CHOICES
-
-
-@dataclass(frozen=True)
-class Request:
-    """A request for a choice of poses.
-
-    Attributes:
-        index: Index, of `CHOICES`.
-        count: Number of poses; a pose counts once for each group of instruments that reads there.
-        minimum_distance: Least distance between the targets of two poses [m].
-        groups: Groups of instruments to choose among.
-    """
-
-    index: str
-    count: int
-    minimum_distance: float
-    groups: Groups
+from calib.planning.selection_scores import CHOICES, index_of_score
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +39,10 @@ class SelectionSetting:
     """Everything known before the first choice.
 
     Attributes:
-        robot, request: The robot and the requested choice.
+        robot: The robot.
+        index: Index to raise, of `CHOICES`.
+        count: Number of poses; a pose counts once for each group of instruments that reads there.
+        groups: Groups of instruments to choose among.
         poses: The poses to choose from.
         candidates: The assembled poses.
         pairs: The candidates: these poses with groups of instruments.
@@ -68,7 +54,9 @@ class SelectionSetting:
     """
 
     robot: Robot
-    request: Request
+    index: str
+    count: int
+    groups: Groups
     poses: Poses
     candidates: Candidates
     pairs: PoseGroupPairs
@@ -80,51 +68,49 @@ class SelectionSetting:
 
     def uniform(self) -> IntArray:
         """Return candidates evenly spread over their order, the requested number of each kind, (count,)."""
-        usable = np.flatnonzero(self.space.usable)
-        return np.concatenate([uniform_start(members, count) for members, count in self.candidates_by_kind(usable)])
+        return np.concatenate([uniform_start(members, count) for members, count in self._usable_by_kind()])
 
     def random(self, rng: np.random.Generator) -> IntArray:
         """Return candidates at random, the requested number of each kind, ascending, (count,)."""
-        usable = np.flatnonzero(self.space.usable)
-        return np.sort(
-            np.concatenate([rng.choice(members, n, replace=False) for members, n in self.candidates_by_kind(usable)])
-        )
+        chosen = [rng.choice(members, count, replace=False) for members, count in self._usable_by_kind()]
+        return np.sort(np.concatenate(chosen))
 
     @property
     def counts(self) -> IntArray:
         """Requested number of candidates of each kind, (n_kinds,)."""
-        return np.array(self.request.groups.counts or (self.request.count,))
+        return np.array(self.groups.counts or (self.count,))
+
+    def index_of_score(self, score: float) -> float:
+        """Return the index of a choice with this score; the task index in m."""
+        return index_of_score(self.problem, self.index, score, self.count, self.sigma)
 
     def largest(self, values: FloatArray | IntArray, counts: IntArray) -> list[IntArray]:
         """Return for each kind the `counts` (n_kinds,) candidates with the largest values (n_candidates,)."""
-        return largest(values, kinds_of(self.space.kind, len(self.problem)), counts)
+        return largest(values, self.space.kind, counts)
 
-    def candidates_by_kind(self, candidates: IntArray) -> list[tuple[IntArray, int]]:
-        """Return for each kind its members among the candidates (n,), and the requested number."""
-        counts = self.request.groups.counts
-        if counts is None:
-            return [(candidates, self.request.count)]
-        return [(candidates[self.pairs.group[candidates] == g], count) for g, count in enumerate(counts)]
+    def _usable_by_kind(self) -> list[tuple[IntArray, int]]:
+        """The usable candidates of each kind, (n,), and the requested number of them."""
+        usable = np.flatnonzero(self.space.usable)
+        return [(usable[self.space.kind[usable] == kind], int(count)) for kind, count in enumerate(self.counts)]
 
 
 def prepare(
     robot: Robot,
     candidates: PosesLike,
-    request: Request,
-    measured: PosesLike | None,
-    task: PosesLike | None,
-    exclude: Sequence[int],
-    skip_unreachable: bool,
-    sigma: float | None,
+    index: str,
+    count: int,
+    groups: Groups,
+    measured: PosesLike | None = None,
+    task: PosesLike | None = None,
+    minimum_distance: float = 0.0,
+    skip_unreachable: bool = False,
+    sigma: float | None = None,
+    exclude: Sequence[int] = (),
 ) -> SelectionSetting:
-    """Assemble and linearise the candidates, and check that a choice can satisfy the request.
+    """Assemble and linearise the candidates, and check that the index can be raised; arguments are as in `select`.
 
     Args:
-        robot: The robot, linearised at its present values.
         candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
-        request: The requested choice.
-        measured, task, exclude, skip_unreachable: As in `select`.
-        sigma: Noise of one reading per axis [m]; None: the description's.
 
     Raises:
         InputError: An argument is wrong.
@@ -132,38 +118,42 @@ def prepare(
         UnreachablePoseError: Candidates cannot be assembled.
         NotIdentifiableError: No choice determines the directions of the index.
     """
-    require_known(request.index, CHOICES, "unknown index")
+    require_known(index, CHOICES, "unknown index")
     require_free(robot)
     poses = as_poses(robot, candidates)
     noise, assumed = assumed_sigma(robot, sigma)
-    if not (np.isfinite(request.minimum_distance) and request.minimum_distance >= 0):
-        raise InputError(f"minimum distance {request.minimum_distance:g} m: must be zero or positive")
-    if request.groups.chosen:
-        require_planned_touches(robot, request.groups, poses)
+    if not (np.isfinite(minimum_distance) and minimum_distance >= 0):
+        raise InputError(f"minimum distance {minimum_distance:g} m: must be zero or positive")
+    if groups.chosen:
+        require_planned_touches(robot, groups, poses)
     assembled = build_candidates(robot, poses, sigma, skip_unreachable=skip_unreachable)
     candidate_rows = assembled.pose_rows
-    pairs = pairs_of(request.groups, candidate_rows)
-    if request.index not in CERTIFIED or request.minimum_distance > 0:
+    pairs = pairs_of(groups, candidate_rows)
+    if index not in CERTIFIED or minimum_distance > 0:
         require_memory(
             2 * pairs.rows.size,
             "a choice by an index without a bound, or with a least distance, looks at all candidates at once; it",
             "choose from each part of the candidates, and then from these choices",
         )
     done_rows, n_before, again = None, 0, 0
-    usable = pairs.possible & (assembled.usable & ~_is_excluded(exclude, len(poses)))[pairs.pose]
-    pose_points = points_of(candidate_rows.positions) if request.minimum_distance > 0 else np.zeros((len(poses), 0))
+    for number in exclude:
+        if not 0 <= number < len(poses):
+            raise InputError(f"exclude: there is no candidate {number}; they are numbered 0 to {len(poses) - 1}")
+    excluded = np.isin(np.arange(len(poses)), np.asarray(exclude, dtype=np.intp))
+    usable = pairs.possible & (assembled.usable & ~excluded)[pairs.pose]
+    pose_points = points_of(candidate_rows.positions) if minimum_distance > 0 else np.zeros((len(poses), 0))
     if measured is not None:
         done = as_poses(robot, measured)
         done_rows, positions, _ = rows_of_measured(robot, done, sigma)
         n_before = done.n_poses
-        same = already_read(request.groups, poses, done)
+        same = already_read(groups, poses, done)
         again = int(np.sum(same & pairs.possible))
         usable &= ~same
-        if request.minimum_distance > 0:
+        if minimum_distance > 0:
             allowed = near_measured(poses.joints, done.joints)
             others = ~allowed & assembled.usable
             distance, _ = scipy.spatial.cKDTree(points_of(positions)).query(pose_points[others])
-            allowed[others] = distance >= request.minimum_distance
+            allowed[others] = distance >= minimum_distance
             usable &= allowed[pairs.pose]
     task_rows = candidate_rows.position_rows
     n_task = int(np.sum(assembled.usable)) * len(robot.reported_targets)
@@ -173,38 +163,27 @@ def prepare(
     problem = build_problem(
         pairs.rows, done_rows, Unknowns.chosen_by_poses(robot).prior.rows, n_before, task_rows, n_task
     )
-    _require_answer(problem, request)
-    kind = None if request.groups.counts is None else pairs.group
-    space = Spacing(pose_points[pairs.pose], request.minimum_distance, usable, pairs.pose, kind)
-    return SelectionSetting(robot, request, poses, assembled, pairs, problem, space, noise, assumed, again)
+    _require_answer(problem, index)
+    kind = np.broadcast_to(np.intp(0), len(usable)) if groups.counts is None else pairs.group
+    space = Spacing(usable, kind, pairs.pose, pose_points[pairs.pose], minimum_distance)
+    return SelectionSetting(robot, index, count, groups, poses, assembled, pairs, problem, space, noise, assumed, again)
 
 
 def points_of(positions: FloatArray) -> FloatArray:
     """Return points (n, 3 n_targets) [m], whose distances are the RMS distances of the targets of two poses."""
-    result: FloatArray = positions.reshape(len(positions), 3 * positions.shape[1]) / np.sqrt(positions.shape[1])
-    return result
-
-
-def _is_excluded(exclude: Sequence[int], n: int) -> BoolArray:
-    for number in exclude:
-        if not 0 <= number < n:
-            raise InputError(f"exclude: there is no candidate {number}; they are numbered 0 to {n - 1}")
-    result: BoolArray = np.isin(np.arange(n), np.asarray(exclude, dtype=np.intp))
-    return result
+    return positions.reshape(len(positions), 3 * positions.shape[1]) / np.sqrt(positions.shape[1])
 
 
 def require_count(setting: SelectionSetting) -> None:
     """Raise `InputError` if there are too few candidates of a kind, or too few poses for the index."""
-    request, pairs, usable = setting.request, setting.pairs, setting.space.usable
-    if request.count < 1:
-        raise InputError(f"count {request.count}: choose at least one pose")
-    counts, kinds = request.groups.counts, [("", request.count, np.ones(len(usable), dtype=bool))]
-    if counts is not None:
-        kinds = [(f" of {name}", counts[g], pairs.group == g) for g, name in enumerate(request.groups.names)]
-    for name, count, members in kinds:
+    space, usable = setting.space, setting.space.usable
+    if setting.count < 1:
+        raise InputError(f"count {setting.count}: choose at least one pose")
+    names = [""] if setting.groups.counts is None else [f" of {name}" for name in setting.groups.names]
+    for kind, (name, count) in enumerate(zip(names, setting.counts.tolist(), strict=True)):
         if count < 0:
             raise InputError(f"count {count}{name}: must be zero or more")
-        left, n = int(np.sum(usable & members)), int(np.sum(members))
+        left, n = int(np.sum(usable & (space.kind == kind))), int(np.sum(space.kind == kind))
         if count > left:
             of = "" if left == n else f" (of {n}; the others are excluded, measured already, or cannot be used)"
             raise InputError(
@@ -212,21 +191,21 @@ def require_count(setting: SelectionSetting) -> None:
             )
     problem = setting.problem
     missing = problem.pose_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
-    n_read = np.where(usable, pairs.n_read, 0)
+    n_read = np.where(usable, setting.pairs.n_read, 0)
     n_values = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
     if n_values < missing:
         raise InputError(
-            f"count {request.count}: {n_values} measured values cannot determine {missing} parameters;"
+            f"count {setting.count}: {n_values} measured values cannot determine {missing} parameters;"
             f" choose at least {-(-missing // int(np.max(n_read)))} poses (several times that for a useful result)"
         )
 
 
-def _require_answer(problem: SelectionProblem, request: Request) -> None:
+def _require_answer(problem: SelectionProblem, index: str) -> None:
     if problem.pose_information.rank.rank == 0:
         raise NotIdentifiableError(
             "the candidates determine no parameter at all; the targets depend on no free parameter"
         )
-    if request.index == TASK and not np.isfinite(problem.task_floor):
+    if index == TASK and not np.isfinite(problem.task_floor):
         raise NotIdentifiableError(
             "the candidates do not determine the positions at the task poses, so their error has no bound;"
             " add candidates like the task poses, or hold parameters (`calib check` says which)"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 
 from rich.table import Table as Printed
 
 from calib.core.base.units import millimetres
 from calib.core.base.words import as_data, count_noun, plain_text, text_table
+from calib.core.commands.next_steps import NOISE, words_of
 from calib.core.data.instrument_cells import columns_in
 from calib.core.data.measurements import Poses
 from calib.core.data.plan_files import INSTRUMENT, TOGETHER
@@ -222,3 +224,10 @@ def _in_table_unit(index: str, value: float | None) -> float:
     if value is None:
         return math.nan
     return millimetres(value) if index == TASK else value
+
+
+def advice_after_select(robot: str, out: str, typed: Mapping[str, Sequence[str]]) -> str:
+    """Return the next step after a choice of poses, written to the file `out`."""
+    options = ("--goal", "0.1mm", "--candidates", out, *words_of(typed, NOISE))
+    words = ("calib", "watch", robot, "measured.csv", *options)
+    return f"Next: measure them, and follow the measurement: {shlex.join(words)}"

@@ -15,6 +15,7 @@ Readings of distances or angles count by the position errors that they show.
 from __future__ import annotations
 
 import time
+from bisect import bisect_left
 from pathlib import Path
 
 import numpy as np
@@ -230,22 +231,14 @@ class GrowingFile:
             if problem is None:
                 return data
             first = first or problem
-            bad, problem = self._first_bad(rows, problem)
+            bad = rows[bisect_left(rows, True, hi=len(rows) - 1, key=lambda k: self._read_lines(k)[1] is not None)]
+            problem = self._read_lines(bad)[1]
             rows.remove(bad)
             if not rows or len(self._bad) >= _MOST_BAD:
                 raise first
             self._bad[bad] = lines[bad]
             self._new_remarks.append(f"{problem}; this line is skipped until it is corrected")
         return None
-
-    def _first_bad(self, rows: list[int], problem: CalibrationError) -> tuple[int, CalibrationError]:
-        """The first unreadable row, by bisection, and the reason; some row is known to be unreadable."""
-        low, high = 0, len(rows) - 1
-        while low < high:
-            middle = (low + high) // 2
-            _, other = self._read_lines(rows[middle])
-            low, high, problem = (middle + 1, high, problem) if other is None else (low, middle, other)
-        return rows[low], problem
 
     def _read_lines(self, last: int) -> tuple[Measurements | None, CalibrationError | None]:
         """Measurements of the lines up to `last`, without skipped ones; or the reason why they cannot be read."""

@@ -11,7 +11,7 @@ Every draw has its own seed, spawned from the study's (`numpy.random.SeedSequenc
 on the number of workers or the distribution of draws. Workers get draws in chunks, each a fit that starts from the
 first (`calib.studies.many_calibrations`). A chunk whose worker is lost is sent again (`calib.core.base.workers`).
 
-When it fails. A draw without an answer, or not converged, is counted and left out of every average. A study simulates
+When it fails. A draw without an answer, or not converged, is counted and left out. A study simulates
 its inputs: errors that are neither in the truth nor in the noise are not in its figures.
 
 Reference: jcgm101.
@@ -20,7 +20,6 @@ Reference: jcgm101.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -62,7 +61,6 @@ class _Setting:
 
     Attributes:
         source: Source of the data of a draw.
-        settings: Settings of the fit.
         repeated: Calibration of further draws.
         prediction_joints: Joint values of poses to predict, (n, n_actuated) [m or rad].
         prediction_passive: Passive joints there, (n, n_passive) [m or rad].
@@ -71,7 +69,6 @@ class _Setting:
     """
 
     source: SimulatedDraws | ResampledDraws
-    settings: Settings
     repeated: RepeatedCalibration
     prediction_joints: FloatArray
     prediction_passive: FloatArray
@@ -82,11 +79,6 @@ class _Setting:
     def first(self) -> Fit:
         """The fit from which all others start."""
         return self.repeated.first
-
-    @property
-    def states_noise(self) -> bool:
-        """Whether chi-square is meaningful: not for resampled poses, whose repeats scatter less than noise does."""
-        return self.first.chi_square is not None and isinstance(self.source, SimulatedDraws)
 
 
 def study(
@@ -136,31 +128,38 @@ def study(
     chunks = [range(start, min(start + _CHUNK, draws)) for start in range(0, draws, _CHUNK)]
     done, failures = list[Draws](), list[str]()
     with Workers(executor, len(chunks)) as workers:
-        source = (
-            simulated_draws(robot, poses, truth, sigma, noise)
-            if not resample
-            else _measurements_to_resample(poses, truth, noise)
-        )
+        source: SimulatedDraws | Measurements
+        if not resample:
+            source = simulated_draws(robot, poses, truth, sigma, noise)
+        elif truth is not None or noise is not None:
+            raise InputError("resample: simulates nothing, so truth and noise have no effect; leave them out")
+        elif not isinstance(poses, Measurements):
+            need = "needs measurements, as calib.read_measurements reads them; these are poses alone"
+            raise InputError(f"resample: {need}")
+        else:
+            source = poses
         setting = _prepare(robot, source, settings, elsewhere, shared, draws)
         if setting.compiled and workers is not None:
             _chunk(setting, range(1))  # compiles once, so that workers only load the result
-        for some, why in results_in_order(partial(_chunk, setting), chunks, workers):
-            done.append(some)
+        for chunk, (some, why) in zip(chunks, results_in_order(partial(_chunk, setting), chunks, workers), strict=True):
+            done += some
             failures += why
             if progress is not None:
-                progress(sum(map(len, done)), draws)
+                progress(chunk.stop, draws)
     if len(failures) == draws:
         raise NotConvergedError(f"none of the {draws} draws gave an answer: {failures[0]}")
-    return _study(setting, Draws.join(done), failures, time.perf_counter() - started)
-
-
-def _measurements_to_resample(poses: object, truth: object, noise: object) -> Measurements:
-    """The measurements to resample, or `InputError`."""
-    if truth is not None or noise is not None:
-        raise InputError("resample: simulates nothing, so truth and noise have no effect; leave them out")
-    if not isinstance(poses, Measurements):
-        raise InputError("resample: needs measurements, as calib.read_measurements reads them; these are poses alone")
-    return poses
+    first = setting.first
+    return Study(
+        robot.name,
+        tuple(first.nominal.parameters[k] for k in first.unknowns.index),
+        tuple(f"{estimate.group.name}: {estimate.group.part.name}" for estimate in first.noise),
+        Draws.join(done),
+        tuple(failures),
+        setting.source.data.n_poses,
+        seed,
+        time.perf_counter() - started,
+        resample,
+    )
 
 
 @one_blas_thread
@@ -180,14 +179,14 @@ def _prepare(
     if not first.converged:
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
-    drawing = (
-        source
-        if isinstance(source, SimulatedDraws)
-        else ResampledDraws(first.robot, source, first.configurations.passive)
-    )
+    drawing: SimulatedDraws | ResampledDraws
+    if isinstance(source, Measurements):
+        drawing = ResampledDraws(first.robot, source, first.configurations.passive)
+    else:
+        drawing = source
     use_compiled = pays(draws * len(data)) or compilation_requested()
-    setting = _Setting(drawing, settings, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
-    each = sum(numbers.size for numbers in vars(_draw_without_answer(setting)).values())
+    setting = _Setting(drawing, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
+    each = 4 * len(first.unknowns) + len(first.noise) + 3 + 6 * len(q) * len(robot.target_names)
     require_memory(2 * draws * each, count_noun(draws, "draw"), "ask for fewer")
     return setting
 
@@ -198,25 +197,26 @@ def _seed_of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSe
 
 
 @one_blas_thread
-def _chunk(setting: _Setting, numbers: range) -> tuple[Draws, list[str]]:
-    """The draws of these numbers, and the reasons of those without an answer."""
+def _chunk(setting: _Setting, numbers: range) -> tuple[list[Draws], list[str]]:
+    """The draws of these numbers that have an answer, in one, and the reasons of the others."""
     draws, failures = list[Draws](), list[str]()
     with compile_kinematics() if setting.compiled else nullcontext():
         for number in numbers:
             try:
                 drawn = setting.source.draw(_seed_of_draw(setting.seed, number))
                 estimate = setting.repeated.estimate(drawn)
-                failure = estimate.open
             except CalibrationError as error:
-                failure = str(error)
-            if failure:
-                failures.append(failure)
-            draws.append(_draw_without_answer(setting) if failure else _draw(setting, drawn.truth, estimate))
-    return Draws.join(draws), failures
+                failures.append(str(error))
+                continue
+            if estimate.open:
+                failures.append(estimate.open)
+            else:
+                draws.append(_draw(setting, drawn.truth, estimate))
+    return [Draws.join(draws)] if draws else [], failures
 
 
 def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
-    """A draw with an answer."""
+    """The row of a draw."""
     first, known = setting.first, estimate.statistics
     true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
     errors = half_width = np.zeros((0, len(truth.target_names), 3))
@@ -228,42 +228,18 @@ def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
         spread = propagate_covariance(at.jacobian[..., first.unknowns.index], known.covariance)
         half_width = known.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
         errors = at.positions - truth.positions(setting.prediction_joints, seed=setting.prediction_passive)
+    # repeats of resampled poses scatter less than noise does
+    has_chi_square = first.chi_square is not None and isinstance(setting.source, SimulatedDraws)
     rows = (
         np.array([true.get(name, np.nan) for name in first.free_names]),
         estimate.values,
         known.std,
         known.half_width,
         estimate.sigma,
-        estimate.chi_square if setting.states_noise else np.nan,
+        estimate.chi_square if has_chi_square else np.nan,
         known.freedom,
         float(estimate.names_outliers),
         errors,
         half_width,
     )
     return Draws(*(np.asarray(row)[None] for row in rows))
-
-
-def _draw_without_answer(setting: _Setting) -> Draws:
-    """A draw without an answer: NaN."""
-    first = setting.first
-    n_free, at_targets = len(first.unknowns), (len(setting.prediction_joints), len(first.nominal.target_names), 3)
-    shapes = ((n_free,),) * 4 + ((len(first.noise),),) + ((),) * 3 + (at_targets,) * 2
-    return Draws(*(np.full((1, *shape), np.nan) for shape in shapes))
-
-
-def _study(setting: _Setting, draws: Draws, failures: Sequence[str], seconds: float) -> Study:
-    """Return the study of all draws."""
-    first = setting.first
-    free = tuple(first.nominal.parameters[k] for k in first.unknowns.index)
-    groups = tuple(f"{estimate.group.name}: {estimate.group.part.name}" for estimate in first.noise)
-    return Study(
-        first.nominal.name,
-        free,
-        groups,
-        draws,
-        tuple(failures),
-        setting.source.data.n_poses,
-        setting.settings.seed,
-        seconds,
-        isinstance(setting.source, ResampledDraws),
-    )

@@ -75,17 +75,12 @@ class SimulatedDraws:
     sigma: float | None
     passive: FloatArray
 
-    @property
-    def changes_visits(self) -> bool:
-        """Whether visits differ between draws, as for touches, whose noise is in the joints."""
-        return any(instrument.touches for instrument in self.truth.instruments)
-
     def draw(self, seed: np.random.SeedSequence) -> DrawnData:
         """Return the data of one draw."""
         rng, truth, exact = np.random.default_rng(seed), self.truth, self.data
         if np.any(self.drawn):
             truth = truth.with_parameters(truth.values + self.drawn @ rng.standard_normal(self.drawn.shape[1]))
-        if self.changes_visits:
+        if any(instrument.touches for instrument in truth.instruments):  # their noise is in the joints
             return DrawnData(truth, simulate(truth, exact, self.sigma, rng))
         if truth is not self.truth:
             configurations = truth.assemble(exact.joints, self.passive, exact.labels, exact.conditions)
@@ -155,16 +150,10 @@ def simulated_draws(
     drawn: FloatArray = np.zeros((len(true.parameters), 0))
     if truth == "priors":
         true = robot.with_parameters({p.name: p.mean_si for p in robot.parameters if p.mean_si is not None})
-        drawn = _prior_deviations(robot)
+        unknowns, drawn = Unknowns.from_robot(robot), np.zeros((len(robot.parameters), len(robot.parameters)))
+        drawn[np.ix_(unknowns.index, unknowns.index)] = unknowns.scales[:, None] * unknowns.prior.root
         if not np.any(drawn):
             raise InputError(f"{robot.path}: has no priors to draw the truth from; give a robot as the truth")
     exact = simulate(true, as_poses(robot, poses), 0.0)
     passive = true.assemble(exact.joints, labels=exact.labels, context=exact.conditions).passive
     return SimulatedDraws(true, exact, drawn, noise, sigma, passive)
-
-
-def _prior_deviations(robot: Robot) -> FloatArray:
-    """D of `SimulatedDraws`, from the priors of the free parameters, (n_parameters, n_parameters) [m or rad]."""
-    unknowns, drawn = Unknowns.from_robot(robot), np.zeros((len(robot.parameters), len(robot.parameters)))
-    drawn[np.ix_(unknowns.index, unknowns.index)] = unknowns.scales[:, None] * unknowns.prior.root
-    return drawn

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import millimetres
 from calib.core.base.words import as_data, count_noun, data_frame, listing, plain_text, text_table
@@ -24,7 +23,7 @@ _WIDTH = 110  # characters
 
 @dataclass(frozen=True, eq=False)
 class Draws(ReadOnlyArrays):
-    """Results of draws, a row for each; all NaN for a draw without an answer.
+    """Results of draws, a row for each that has an answer.
 
     Attributes:
         truth: True values of the free parameters, (n, n_free) [m or rad]; NaN if the truth has no such parameter.
@@ -56,14 +55,7 @@ class Draws(ReadOnlyArrays):
     @staticmethod
     def join(parts: Sequence[Draws]) -> Draws:
         """Return the draws of several parts in one."""
-        return Draws(
-            **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Draws)}
-        )
-
-    @property
-    def has_answer(self) -> BoolArray:
-        """Mask of the draws with an answer, (n,)."""
-        return np.isfinite(self.values[:, 0])
+        return Draws(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Draws)))
 
 
 @dataclass(frozen=True)
@@ -88,10 +80,6 @@ class ParameterStudy:
     claimed: float
     coverage: float
 
-    def row(self) -> dict[str, object]:
-        """Return the row of a table."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study(ReadOnlyArrays):
@@ -101,7 +89,7 @@ class Study(ReadOnlyArrays):
         robot: Name of the robot.
         free: The free parameters.
         groups: Names of the groups of rows, in the order of `draws.sigma`.
-        draws: Results of the draws.
+        draws: Results of the draws with an answer.
         failures: Reasons of the draws without an answer.
         n_poses: Number of measured poses.
         seed: Seed of all random numbers.
@@ -126,18 +114,12 @@ class Study(ReadOnlyArrays):
         return self.report()
 
     def __len__(self) -> int:
-        return len(self.draws)
-
-    @cached_property
-    def answered(self) -> Draws:
-        """The draws with an answer."""
-        kept = self.draws.has_answer
-        return Draws(**{field.name: getattr(self.draws, field.name)[kept] for field in fields(Draws)})
+        return len(self.draws) + len(self.failures)
 
     @property
     def parameters(self) -> tuple[ParameterStudy, ...]:
         """Every free parameter over all draws with an answer."""
-        draws, n = self.answered, len(self.answered)
+        draws, n = self.draws, len(self.draws)
         error = draws.values - draws.truth
         spread = np.std(error, axis=0, ddof=1) if n > 1 else np.full(len(self.free), np.nan)
         claimed = np.sqrt(np.mean(draws.std**2, axis=0))
@@ -152,30 +134,30 @@ class Study(ReadOnlyArrays):
     @property
     def position_coverage(self) -> FloatArray:
         """Part of the draws whose 95 % interval contains the truth at unmeasured poses, (n_poses, n_targets, 3)."""
-        return np.mean(np.abs(self.answered.errors) <= self.answered.error_half_width, axis=0)
+        return np.mean(np.abs(self.draws.errors) <= self.draws.error_half_width, axis=0)
 
     @property
     def position_error(self) -> float:
         """Root mean square distance of predicted from true positions at unmeasured poses [m]; NaN if there are none."""
-        errors = self.answered.errors
+        errors = self.draws.errors
         return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1)))) if errors.size else float("nan")
 
     @property
     def chi_square(self) -> float:
         """Mean of chi-square over its degrees of freedom: 1 if the noise is as stated; NaN if none is stated."""
-        return float(np.mean(self.answered.chi_square / self.answered.freedom))
+        return float(np.mean(self.draws.chi_square / self.draws.freedom))
 
     @property
     def chi_square_refused(self) -> float:
         """Part of the draws that a test of chi-square at 5 % rejects; NaN if no noise is stated."""
-        value, freedom = self.answered.chi_square, self.answered.freedom
+        value, freedom = self.draws.chi_square, self.draws.freedom
         tail = np.minimum(scipy.special.chdtr(freedom, value), scipy.special.chdtrc(freedom, value))
         return float(np.mean(np.where(np.isfinite(value), tail < _TAIL / 2, np.nan)))
 
     @property
     def outliers(self) -> float:
         """Part of the draws that name an outlier."""
-        return float(np.mean(self.answered.names_outliers))
+        return float(np.mean(self.draws.names_outliers))
 
     def report(self, *, verbose: bool = False) -> str:
         """Return the study as text.
@@ -190,8 +172,8 @@ class Study(ReadOnlyArrays):
             more = len(parameters) - _SHOWN
             parameters = tuple(sorted(parameters, key=lambda parameter: parameter.coverage)[:_SHOWN])
         for parameter in parameters:
-            row = parameter.row()
-            numbers = [f"{row[key]:.3g}" for key in ("bias", "bias_std", "spread", "claimed")]
+            shown = (parameter.bias, parameter.bias_std, parameter.spread, parameter.claimed)
+            numbers = [f"{number:.3g}" for number in shown]
             ratio = parameter.spread / parameter.claimed if parameter.claimed > 0 else float("nan")
             table.add_row(parameter.name, parameter.unit, *numbers, f"{ratio:.3f}", f"{100 * parameter.coverage:.1f}")
         rest = (
@@ -205,12 +187,11 @@ class Study(ReadOnlyArrays):
             done, poses = "calibration", f"each from {self.n_poses} of its {self.n_poses} poses, with replacement"
         lines = [f"{count_noun(len(self), done)} of {self.robot}, {poses}, seed {self.seed}"]
         if self.failures:
-            n_failed = len(self) - len(self.answered)
-            lines.append(f"{count_noun(n_failed, 'draw')} gave no answer: {listing(self.failures, '; ', 2)}")
+            lines.append(f"{count_noun(len(self.failures), 'draw')} gave no answer: {listing(self.failures, '; ', 2)}")
         return lines
 
     def _findings(self) -> list[str]:
-        chance = 100 * np.sqrt(0.95 * 0.05 / len(self.answered))
+        chance = 100 * np.sqrt(0.95 * 0.05 / len(self.draws))
         coverage = 100 * np.array([parameter.coverage for parameter in self.parameters])
         truth = "what all poses give" if self.resampled else "the truth"
         lines = [
@@ -236,22 +217,22 @@ class Study(ReadOnlyArrays):
 
     def to_dataframe(self) -> Any:
         """Return a pandas table of the free parameters over all draws; `InputError` without pandas."""
-        return data_frame([parameter.row() for parameter in self.parameters])
+        return data_frame([asdict(parameter) for parameter in self.parameters])
 
     def to_dict(self) -> dict[str, object]:
         """Return the study as data for JSON; parameters in the units of tables, unknown numbers None."""
-        sigma = np.mean(self.answered.sigma, axis=0)
+        sigma = np.mean(self.draws.sigma, axis=0)
         return as_data(
             {
                 "robot": self.robot,
                 "draws": len(self),
-                "answered": len(self.answered),
+                "answered": len(self.draws),
                 "failures": list(self.failures),
                 "n_poses": self.n_poses,
                 "resampled": self.resampled,
                 "seed": self.seed,
                 "seconds": self.seconds,
-                "parameters": [parameter.row() for parameter in self.parameters],
+                "parameters": [asdict(parameter) for parameter in self.parameters],
                 "sigma": {name: float(value) for name, value in zip(self.groups, sigma, strict=True)},
                 "chi_square": self.chi_square,
                 "chi_square_refused": self.chi_square_refused,

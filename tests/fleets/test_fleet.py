@@ -197,6 +197,7 @@ def test_a_robot_that_was_repaired_is_named_and_keeps_what_else_the_fleet_knows(
 def test_the_answer_fits_on_a_screen_and_the_rest_comes_with_verbose(results):
     robot, _, folders, _ = results
     shown, everything = run(*folders).output, run(*folders, "--verbose").output
+    assert "Uncertainty of means: counts noise and priors" in everything
     names = [p.name for p in robot.parameters if not p.placement]
     assert all(f"\n{name} " in everything for name in names)
     fleet = calib.fleet(*folders)

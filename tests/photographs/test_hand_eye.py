@@ -9,6 +9,7 @@ import yaml
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from calib.core.base.contributions import contributions_to
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
 from calib.photographs.camera_alone import intrinsics_at_first, point_errors
@@ -16,7 +17,7 @@ from calib.photographs.estimation import estimate, predict_left_out_images, rms,
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.other_readings import other_readings
-from calib.photographs.scene import HandEyePlacement, plane_errors_on_board, residuals, rows
+from calib.photographs.scene import POSES, HandEyePlacement, HandEyeUnknowns, plane_errors_on_board, residuals, rows
 from calib.photographs.shared_errors import ErrorSizes
 from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, board_points, pixels_of, pose, scene
 
@@ -41,12 +42,19 @@ def test_good_photographs_show_no_mistake(good):
     assert (codes(good), judge(good).grade, good.lens_found) == ([], "PASS", False)
 
 
+def test_intervals_and_limit_name_what_they_contain(good):
+    assert all(own <= contributions_to(number) for number, own in good.contains.items())
+    named = content(good, Frames())["contains"]
+    assert named["position"] == ["noise and priors", "scatter of poses", "unexplained joint errors"]
+    assert named["claim"] == ["poses left out"]
+
+
 @pytest.mark.parametrize("mount", ["tool", "base"])
 def test_camera_board_and_mount_are_found_without_any_guess(mount):
     exact = scene(8, mount, noise=0.0)
     begin = starts.start(exact, INTRINSICS)
     assert begin.scene.mount == mount
-    solution = solve(begin.scene, begin.placed, (), ErrorSizes())
+    solution = solve(begin.scene, begin.placed, POSES, ErrorSizes())
     assert np.allclose(solution.camera, CAMERA[mount], atol=1e-9)
     assert np.allclose(solution.board, BOARD[mount], atol=1e-9)
 
@@ -55,12 +63,12 @@ def test_derivatives_agree_with_central_differences():
     for mount in ("tool", "base"):
         view = scene(3, mount, noise=0.5, shift=1e-3)
         placed = HandEyePlacement(CAMERA[mount], BOARD[mount], INTRINSICS, 1.01)
-        free, h = (0, 1, 2, 3, 4, 5), 1e-6
-        _, by_unknown, by_error = rows(view, placed, free, scaled=True)
+        unknowns, h = HandEyeUnknowns((0, 1, 2, 3, 4, 5), INTRINSICS[:6], np.full(6, np.inf), scaled=True), 1e-6
+        _, by_unknown, by_error = rows(view, placed, unknowns)
         for k in range(19):
             step = np.zeros(19)
             step[k] = h
-            ahead, back = (residuals(view, placed.step(sign * step, free)) for sign in (1, -1))
+            ahead, back = (residuals(view, placed.step(sign * step, unknowns)) for sign in (1, -1))
             assert np.allclose(by_unknown[:, :, k], (ahead - back) / (2 * h), atol=2e-3, rtol=1e-5)
         for k in range(6):
             twist = np.zeros(6)
@@ -73,7 +81,7 @@ def test_derivatives_agree_with_central_differences():
 def test_plain_least_squares_is_that_of_scipy():
     view = scene(7, "tool", noise=0.5, shift=5e-4, turn=5e-4)
     begin = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)
-    ours = estimate(view, begin, ())
+    ours = estimate(view, begin)
 
     def errors(x):
         camera, board = (pose(x[k : k + 3], np.rad2deg(x[k + 3 : k + 6])) for k in (0, 6))
@@ -87,10 +95,10 @@ def test_plain_least_squares_is_that_of_scipy():
 
 def test_an_image_left_out_is_predicted_by_a_fit_of_the_others():
     view = scene(6, "tool", noise=0.4, shift=5e-4)
-    whole = estimate(view, HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS), ())
+    whole = estimate(view, HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS))
     others = np.arange(6) != 2
-    alone = estimate(view.select_images(others), whole.placed, ())
-    left = predict_left_out_images(view, whole.placed, (), whole.weights)
+    alone = estimate(view.select_images(others), whole.placed)
+    left = predict_left_out_images(view, whole.placed, POSES, whole.weights)
     assert np.allclose(left.pixels[view.image == 2], residuals(view, alone.placed)[view.image == 2], atol=1e-5)
 
 
@@ -233,12 +241,10 @@ def test_of_other_readings_just_the_one_that_is_named_gives_the_scene_back():
     exact = scene(9, "tool", noise=0.0)
     for words, wrong in misread(exact):
         fits = [
-            reading.text
-            for reading in other_readings(wrong, ("tool",))
-            if len(reading.scene) == len(exact)
-            and all(
-                np.allclose(getattr(reading.scene, part), getattr(exact, part)) for part in ("tool", "body", "pixels")
-            )
+            text
+            for _, text, other in other_readings(wrong, ("tool",))
+            if len(other) == len(exact)
+            and all(np.allclose(getattr(other, part), getattr(exact, part)) for part in ("tool", "body", "pixels"))
         ]
         assert len(fits) == 1, words
         assert words in fits[0]
@@ -268,7 +274,7 @@ def test_inverted_poses_are_named_where_the_mount_is_stated_and_doubted_where_it
 def test_distortion_that_single_images_show_is_found_behind_the_robots_errors(amount):
     for seed in range(amount):
         result = calibrate(scene(8, "tool", seed=seed, noise=0.15, shift=3e-4, turn=3e-4), None, mounts=("tool",))
-        assert len(result.fitted.free) == 6
+        assert len(result.fitted.unknowns.free) == 6
         assert result.fitted.placed.intrinsics[4] == pytest.approx(INTRINSICS[4], abs=0.03)
 
 

@@ -34,7 +34,7 @@ def test_errors_of_the_arm_move_the_tool_as_those_of_its_denavit_hartenberg_tabl
 
 def dense(case, placed, noise, twists):
     """Residuals, J, W-free covariance of residuals, H of an arm's errors: all rows at once."""
-    r, j, g = rows(case, placed, ())
+    r, j, g = rows(case, placed)
     n = len(case)
     wide = np.zeros((*r.shape, 6 * n))
     for k, image in enumerate(case.image):
@@ -49,7 +49,7 @@ def dense(case, placed, noise, twists):
 def test_the_criterion_is_the_restricted_likelihood_of_all_rows():
     case = scene(n=6, shift=3e-4, turn=3e-4)
     placed, twists = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS), arm_twists(case.tool)
-    linear, ours, theirs = linearise(case, placed, ()).with_arm(twists), [], []
+    linear, ours, theirs = linearise(case, placed).with_arm(twists), [], []
     for noise in (ErrorSizes(0.2, 3e-4, 2e-4, 4e-4), ErrorSizes(0.3, 1e-4, 5e-4, 1e-4)):
         r, j, own, by_arm = dense(case, placed, noise, twists)
         whole = own + noise.arm**2 * by_arm @ by_arm.T
@@ -58,25 +58,25 @@ def test_the_criterion_is_the_restricted_likelihood_of_all_rows():
         logs = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(a)[1]
         theirs.append(logs + r @ weighed[:, -1] - b @ np.linalg.solve(a, b))
         sizes = np.log([noise.pixel, noise.shift, noise.turn, noise.arm])
-        ours.append(criterion(linear, sizes, None, np.zeros(0))[0])
+        ours.append(criterion(linear, sizes)[0])
     assert np.isclose(ours[0] - ours[1], theirs[0] - theirs[1], rtol=1e-7)
 
 
 def test_sizes_are_found_where_the_criterion_is_flat():
     """Its gradient is that of differences; where it vanishes is a minimum, wherever the search began."""
-    case, none = scene(n=7, shift=1e-3, turn=5e-3), np.zeros(0)
+    case = scene(n=7, shift=1e-3, turn=5e-3)
     placed = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)
     linear, at, step = (
-        linearise(case, placed, ()).with_arm(arm_twists(case.tool)),
+        linearise(case, placed).with_arm(arm_twists(case.tool)),
         np.log([0.25, 3e-4, 2e-4, 4e-4]),
         1e-4,
     )
-    ends = [[criterion(linear, at + sign * one, None, none)[0] for sign in (1, -1)] for one in step * np.eye(4)]
+    ends = [[criterion(linear, at + sign * one)[0] for sign in (1, -1)] for one in step * np.eye(4)]
     differences = [(ahead - back) / (2 * step) for ahead, back in ends]
-    assert np.allclose(criterion(linear, at, None, none)[1], differences, rtol=1e-5, atol=1e-5)
+    assert np.allclose(criterion(linear, at)[1], differences, rtol=1e-5, atol=1e-5)
     for near in (ErrorSizes(0.2, 1e-3, 5e-3), ErrorSizes(0.5, 1e-4, 1e-2)):
-        logs = logarithms(find_noise(linear, None, none, near), linear)
-        assert np.all(np.abs(criterion(linear, logs, None, none)[1]) < 1e-3)
+        logs = logarithms(find_noise(linear, near), linear)
+        assert np.all(np.abs(criterion(linear, logs)[1]) < 1e-3)
 
 
 @pytest.mark.parametrize("weights", [ErrorSizes(0.3), ErrorSizes(0.2, 4e-4, 2e-4)])
@@ -85,7 +85,7 @@ def test_the_covariance_is_what_errors_of_each_size_do_to_the_estimate(weights, 
     placed, twists = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS), arm_twists(case.tool)
     noise = ErrorSizes(0.25, 3e-4, 2e-4, 5e-4)
     monkeypatch.setattr("calib.photographs.intervals.find_noise", lambda *_: noise)
-    arm, covariance, _ = intervals(linearise(case, placed, ()), twists, weights, noise, None, np.zeros(0))
+    arm, covariance, _ = intervals(linearise(case, placed), twists, weights, noise)
     _, j, own, by_arm = dense(case, placed, noise, twists)
     of_weights = dense(case, placed, weights, twists)[2]
     weighed = np.linalg.solve(of_weights, j)
@@ -107,6 +107,6 @@ def test_the_camera_on_the_real_flange_lies_in_its_intervals(errors, amount):
         case = drawn(generator, errors, int(generator.integers(10, 21)), mount, robot, 0.3)
         if case is not None:
             images, real = case
-            inside.append(np.mean(covered(estimate(images, real, ()), real.camera)))
+            inside.append(np.mean(covered(estimate(images, real), real.camera)))
     # the part of six numbers varies by 0.13 from set-up to set-up; without errors of the arm it is 0.7 for joints
     assert np.mean(inside) > 0.95 - 3.5 * 0.13 / np.sqrt(amount)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from calib.core.data.tables import read_table
 from calib.photographs.hand_eye_result import Frames
 from calib.photographs.pose_pairs import solve_pairs
-from calib.photographs.pose_pairs_result import judge_pairs, report_pairs
+from calib.photographs.pose_pairs_result import content_of_pairs, judge_pairs, report_pairs
 from calib.photographs.tool_poses import pose_columns, poses_of
 from tests.project import write_table
 
@@ -62,6 +62,7 @@ def test_both_mounts_are_found_as_closed_forms_and_opencv_find_them(mount):
     result = solve_pairs(names(14), tool, seen)
     assert result.mount == mount
     assert judge_pairs(result).grade == "PASS", judge_pairs(result)
+    assert "noise and priors" in content_of_pairs(result, Frames())["contains"]["position"]
     links = tool if mount == "tool" else np.linalg.inv(tool)
     found = [park(links, seen)]
     cv2 = pytest.importorskip("cv2")

@@ -1,5 +1,6 @@
 """Exchange and swaps: against brute force on small problems, and that they stop where they say."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -22,7 +23,7 @@ def made_up(seed):
 
 
 def everywhere(n=N):
-    return Spacing(np.zeros((n, 3)), 0.0, np.ones(n, dtype=bool))
+    return Spacing.free(np.ones(n, dtype=bool))
 
 
 def merit(problem, chosen, index):
@@ -115,7 +116,8 @@ def test_a_uniform_start_is_evenly_spread():
 def test_chosen_poses_keep_their_distance(index):
     rng = np.random.default_rng(5)
     rows = rng.standard_normal((60, 3, D))
-    space = Spacing(rng.uniform(0, 1, (60, 3)), 0.3, rng.uniform(size=60) < 0.8)
+    space = Spacing(np.ones(60, dtype=bool), np.zeros(60, dtype=int), np.arange(60), rng.uniform(0, 1, (60, 3)), 0.3)
+    space = replace(space, usable=rng.uniform(size=60) < 0.8)
     problem = build_problem(rows, task_rows=rows)
     start = space.select_spread(np.flatnonzero(space.usable)[:8], 8)
     done = swap(exchange(problem, index, start, space), space)
@@ -128,5 +130,5 @@ def test_chosen_poses_keep_their_distance(index):
 
 
 def test_spread_gives_fewer_poses_where_there_is_no_room():
-    space = Spacing(np.array([[0.0], [0.1], [0.2], [1.0]]), 0.5, np.ones(4, dtype=bool))
+    space = replace(Spacing.free(np.ones(4, dtype=bool)), points=np.array([[0.0], [0.1], [0.2], [1.0]]), distance=0.5)
     assert space.select_spread(np.array([1, 2, 0]), 3).tolist() == [1, 3]

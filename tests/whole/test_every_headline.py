@@ -9,7 +9,7 @@ import scipy
 
 import calib
 from calib.core.data.in_memory import as_poses
-from calib.planning.next_steps import advice_after_check
+from calib.planning.assessment_text import advice_after_check
 from tests.project import EXAMPLES
 from tests.whole import headline_situations as h
 from tests.whole.headline_situations import Commands, derivative, joints, measured, on_one_line, value

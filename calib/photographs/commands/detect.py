@@ -21,7 +21,7 @@ from calib.photographs.detection import DetectedImage, Detection, detect
 from calib.photographs.estimation import LITTLE_TURN, turning
 from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.opencv import GreyImage
-from calib.photographs.pages import Picture, figure, small_copy
+from calib.photographs.pages import figure, small_copy
 from calib.photographs.scene import scene_of
 from calib.pictures import installed
 
@@ -60,11 +60,10 @@ def command(
     output.write(out, pixel_table(detection, photographs, columns))
     lines = summary(detection)
     if page_file:
-        pictures = [
-            Picture(image, copy, image.remark or count_noun(len(image.points), "point"), not image.usable)
-            for image, copy in zip(detection.images, small, strict=True)
-        ]
-        figures = [(-1, figure(picture)) for picture in pictures]
+        figures = []
+        for image, copy in zip(detection.images, small, strict=True):
+            caption = image.remark or count_noun(len(image.points), "point")
+            figures.append((-1, figure(image, copy, caption, is_outlying=not image.usable)))
         title = f"Photographs of a board: {detection.board}"
         output.write(page_file, installed("--page").answer(detection, title, "\n".join(lines), figures))
     for line in lines:
@@ -76,11 +75,7 @@ def command(
 def detect_board(
     board: Board, photographs: Sequence[Shot], output: Output, *, pictures: bool
 ) -> tuple[Detection, list[bytes]]:
-    """Find a board in images, and report each image without one; return small copies too if `pictures`.
-
-    Raises:
-        InputError: There are no images.
-    """
+    """Find a board in images, and report each image without one; return small copies too if `pictures`."""
     small: list[bytes] = []
 
     def read() -> Iterator[tuple[str, GreyImage | str]]:
@@ -89,15 +84,13 @@ def detect_board(
             small.append(small_copy(image) if pictures else b"")
             yield shot.name, image
 
-    result: Detection | None = None
     with output.working("looking for the board") as progress:
-        for k, step in enumerate(detect(board, read())):
-            if isinstance(step, Detection):
-                result = step
-            else:
-                progress(k + 1, len(photographs))
-    if result is None:
-        raise InputError("no images")
+        detections = detect(board, read())
+        for k, _ in enumerate(photographs):
+            next(detections)
+            progress(k + 1, len(photographs))
+        result = next(detections)  # in the whole set
+    assert isinstance(result, Detection)
     for image in result.images:
         if image.remark:
             output.note(f"{'note' if image.usable else 'left out'}: {image.name}: {image.remark}")

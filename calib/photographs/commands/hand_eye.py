@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,9 +12,10 @@ import click
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
+from calib.core.base.contributions import names_of
 from calib.core.base.errors import ComputationError, DataError, InputError, nearest
 from calib.core.base.files import write_folder
-from calib.core.base.words import as_data, listing
+from calib.core.base.words import listing
 from calib.core.commands.common import Output, load_robot, shared_options
 from calib.core.data.tables import read_table
 from calib.core.instruments.board import Board
@@ -26,11 +26,11 @@ from calib.photographs.commands.detect import detect_board, nothing_found, summa
 from calib.photographs.detection import DetectedImage
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.hand_eye_calibration import calibrate, require_images
-from calib.photographs.hand_eye_result import Frames, content, files, judge, report, transform_files
-from calib.photographs.images import joint_columns, shots, with_joints
+from calib.photographs.hand_eye_result import Frames, as_json, content, files, judge, report, transform_files
+from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.lens_choice import LENSES
 from calib.photographs.mistakes import Mistake
-from calib.photographs.pages import Picture, exaggeration, figure
+from calib.photographs.pages import exaggeration, figure
 from calib.photographs.pose_pairs import PosePairs, solve_pairs
 from calib.photographs.pose_pairs_result import content_of_pairs, judge_pairs, report_pairs
 from calib.photographs.scene import Mount, scene_of
@@ -113,11 +113,10 @@ def command(
         raise InputError("give the board with --board FILE; only pairs of poses need none")
     described = read_board_option(board)
     lens_file = None if camera is None else read_camera(camera)
-    table = len(images) == 1 and Path(images[0]).suffix.lower() == ".csv"
-    bag_joints: tuple[list[str], FloatArray] | None = None
+    photographs: list[Shot] = []
     small: dict[str, bytes] = {}
     mirrored: list[str] = []
-    if table:
+    if len(images) == 1 and Path(images[0]).suffix.lower() == ".csv":
         output.check(folders=(out,), names=FILES)
         detected_images = _read_detected(images[0], described)
     else:
@@ -135,14 +134,11 @@ def command(
             output.say(line)
         if not detected_images:
             raise nothing_found(detection)
-        if poses is None:
-            by_name = {shot.name: shot for shot in photographs}
-            bag_joints = joint_columns([by_name[image.name] for image in detected_images])
-    rows, tool = _tools(detected_images, poses, model, angles, bag_joints, output)
-    detected_images = [image for image in detected_images if image.name in rows]
-    detected_images.sort(key=lambda image: rows[image.name])
+    tool = _tool_poses(detected_images, poses, model, angles, photographs, output)
+    by_name = {image.name: image for image in detected_images}
+    detected_images = [by_name[name] for name in tool]
     require_images(len(detected_images))
-    scene = scene_of(detected_images, described, np.array([tool[rows[image.name]] for image in detected_images]))
+    scene = scene_of(detected_images, described, np.array(list(tool.values())))
     if lens_file is not None and lens_file.image is not None and lens_file.image != scene.size:
         raise InputError(
             f"{camera}: is for images of {lens_file.image[0]} x {lens_file.image[1]} px, and these have"
@@ -158,13 +154,12 @@ def command(
     judgement = judge(result)
     output.say(report(result, named))
     pages = {"photographs.html": _page(result, named, detected_images, small)}
-    if judgement.grade != "FAIL" or output.force:
-        write_folder(out, files(result, named) | pages, force=output.force)
+    refused = judgement.grade == "FAIL" and not output.force
+    write_folder(out, pages if refused else files(result, named) | pages, force=output.force)
+    if not refused:
         output.say(f"Written to {out}: {', '.join(FILES)}")
-    else:
-        write_folder(out, pages, force=output.force)
     output.json(content(result, named))
-    if judgement.grade == "FAIL" and not output.force:
+    if refused:
         raise ComputationError(f"verdict FAIL: {judgement.reasons[0]}; no transform was written (--force writes it)")
 
 
@@ -217,7 +212,7 @@ def _write_pairs(result: PosePairs, frames: Frames, out: str, output: Output) ->
     judgement = judge_pairs(result)
     output.say(report_pairs(result, frames))
     data = content_of_pairs(result, frames)
-    written = {"hand_eye.json": (json.dumps(as_data(data), indent=1, allow_nan=False) + "\n").encode()}
+    written = {"hand_eye.json": as_json(data)}
     whole = result.is_determined and (judgement.grade != "FAIL" or output.force)
     if whole:
         written |= transform_files(result.camera.pose, result.mount, frames)
@@ -228,28 +223,30 @@ def _write_pairs(result: PosePairs, frames: Frames, out: str, output: Output) ->
         raise ComputationError(f"verdict FAIL: {judgement.reasons[0]}; no transform was written")
 
 
-def _tools(
+def _tool_poses(
     detected_images: Sequence[DetectedImage],
     poses: str | None,
     model: Robot | None,
     angles: str | None,
-    bag: tuple[list[str], FloatArray] | None,
+    photographs: Sequence[Shot],
     output: Output,
-) -> tuple[dict[str, int], FloatArray]:
-    """Row of each image that has a pose of the tool, and these poses, (n, 4, 4)."""
-    if poses is None:
-        if bag is None or model is None:
-            raise InputError(_NO_POSES)
-        names, values = bag
-        missing = next((name for name in model.joint_names if name not in names), None)
-        if missing is not None:
-            raise DataError(f"the bag has no joint '{missing}'{nearest(missing, names)}")
-        joints = values[:, np.array([names.index(name) for name in model.joint_names])]
-        return {image.name: k for k, image in enumerate(detected_images)}, model.forward(joints)
-    names, tool = read_tool_poses(poses, robot=model, angles=angles)
-    chosen, remarks = match_images([image.name for image in detected_images], names, poses)
-    output.remarks([f"left out: {text}" for text in remarks])
-    return {names[k]: k for k in chosen}, tool
+) -> dict[str, FloatArray]:
+    """The pose of the tool, (4, 4), at each image that has one, by name in the order of the rows."""
+    seen = [image.name for image in detected_images]
+    if poses is not None:
+        names, tool = read_tool_poses(poses, robot=model, angles=angles)
+        chosen, remarks = match_images(seen, names, poses)
+        output.remarks([f"left out: {text}" for text in remarks])
+        return {names[k]: tool[k] for k in sorted(chosen)}
+    if model is None or not photographs:
+        raise InputError(_NO_POSES)
+    by_name = {shot.name: shot for shot in photographs}
+    names, values = joint_columns([by_name[name] for name in seen])
+    missing = next((name for name in model.joint_names if name not in names), None)
+    if missing is not None:
+        raise DataError(f"the bag has no joint '{missing}'{nearest(missing, names)}")
+    joints = values[:, [names.index(name) for name in model.joint_names]]
+    return dict(zip(seen, model.forward(joints), strict=True))
 
 
 def _read_detected(path: str, board: Board) -> list[DetectedImage]:
@@ -261,8 +258,8 @@ def _read_detected(path: str, board: Board) -> list[DetectedImage]:
     pixel = next((name.removesuffix("_u") for name in table.names if name.endswith("_u")), None)
     if pixel is None or f"{pixel}_v" not in table.names or "point" not in table.names:
         raise DataError(f"{path}: needs columns pose, point, camera_u and camera_v, as calib detect writes them")
-    key = "pose" if "pose" in table.names else "image"
-    if key not in table.names:
+    key = next((name for name in ("pose", "image") if name in table.names), None)
+    if key is None:
         raise DataError(f"{path}: has no column 'pose'")
     pixels = np.stack([table.column(f"{pixel}_{axis}", "pixel") for axis in "uv"], axis=1)
     names, points, known = table.text(key), table.text("point"), board.points()
@@ -272,33 +269,30 @@ def _read_detected(path: str, board: Board) -> list[DetectedImage]:
             f"{path}, line {table.lines[strange]}, column 'point': the board has no point '{points[strange]}'"
             f"{nearest(points[strange], known)}"
         )
-    result = []
-    for name in dict.fromkeys(names):
-        rows = [k for k, other in enumerate(names) if other == name]
-        twice = next((points[k] for k in rows if [points[j] for j in rows].count(points[k]) > 1), None)
-        if twice is not None:
-            raise DataError(f"{path}: image {name} has point {twice} twice")
-        result.append(DetectedImage(name, (int(size[1]), int(size[2])), tuple(points[k] for k in rows), pixels[rows]))
-    return result
+    images: dict[str, dict[str, FloatArray]] = {name: {} for name in names}
+    for name, point, place in zip(names, points, pixels, strict=True):
+        if point in images[name]:
+            raise DataError(f"{path}: image {name} has point {point} twice")
+        images[name][point] = place
+    whole = int(size[1]), int(size[2])
+    return [DetectedImage(name, whole, tuple(seen), np.array([*seen.values()])) for name, seen in images.items()]
 
 
 def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedImage], small: dict[str, bytes]) -> bytes:
     """The page of photographs, with arrows from detected to predicted points."""
     scene, images = result.scene, {image.name: image for image in detected_images}
     factor = exaggeration(result.pixels, scene.size[0])
-    each, off = result.rms_by_image(result.pixels), {image.name: image for image in result.outlying_images}
-    on = 1e3 * result.rms_by_image(result.board)
-    pictures = []
+    each, on = result.rms_by_image(result.pixels), 1e3 * result.rms_by_image(result.board)
+    figures = []
     for i, name in enumerate(scene.names):
         points = scene.image == i
         arrows = scene.pixels[points] + factor * result.pixels[points]
         shown = replace(images[name], pixels=scene.pixels[points])
-        pictures.append(
-            Picture(shown, small.get(name, b""), f"{each[i]:.2f} px, {on[i]:.2f} mm on the board", arrows=arrows)
-        )
-    for name, image in off.items():
-        pictures.append(Picture(images[name], small.get(name, b""), f"left out: {image.rms:.1f} px off", True))
+        caption = f"{each[i]:.2f} px, {on[i]:.2f} mm on the board"
+        figures.append((i, figure(shown, small.get(name, b""), caption, arrows)))
+    for image in result.outlying_images:  # they belong to no mark of a plot
+        caption = f"left out: {image.rms:.1f} px off"
+        figures.append((-1, figure(images[image.name], small.get(image.name, b""), caption, is_outlying=True)))
     text = f"Arrows: from where points were found to where they should be, {factor:g} times as long"
-    numbers = [*range(len(scene)), *[-1] * len(off)]  # outlying images belong to no mark of a plot
-    figures = [(number, figure(picture)) for number, picture in zip(numbers, pictures, strict=True)]
+    text += "".join(f"\n{number.value}: counts {', '.join(names_of(own))}" for number, own in result.contains.items())
     return installed("--html").answer(result, "Hand-eye calibration", f"{report(result, frames)}\n{text}", figures)

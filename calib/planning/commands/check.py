@@ -27,8 +27,7 @@ from calib.core.robots.pose_check import check_poses
 from calib.core.rows.observed import touches_without_target
 from calib.pictures import figures
 from calib.planning.assessment import check
-from calib.planning.assessment_text import text_report, to_dict
-from calib.planning.next_steps import advice_after_check
+from calib.planning.assessment_text import advice_after_check, text_report, to_dict
 from calib.planning.pose_sampling import sample
 
 
@@ -69,10 +68,7 @@ def command(
     if not data:
         if poses < 1:
             raise InputError(f"--poses {poses}: at least one is needed")
-        pose_set, source = (
-            sample(model, poses, seed),
-            f"sampled over the joint limits, seed {seed}",
-        )
+        pose_set, source = sample(model, poses, seed), f"sampled over the joint limits, seed {seed}"
         if len(model.description.setups) > 1:
             output.note("note: all sampled poses are in the first setup; they do not test what another setup moves")
     else:

@@ -32,13 +32,12 @@ from calib.core.data.plan_files import plan_of_table, read_pose_files
 from calib.core.data.robot_tables import read_robot_table
 from calib.pictures import figures
 from calib.planning.instrument_choice import ALL, EACH
-from calib.planning.next_steps import advice_after_select
 from calib.planning.pose_sampling import little_seen
 from calib.planning.selection import select
 from calib.planning.selection_problem import TASK
 from calib.planning.selection_result import Selection
 from calib.planning.selection_scores import CHOICES
-from calib.planning.selection_text import format_poses, text_report, to_dict
+from calib.planning.selection_text import advice_after_select, format_poses, text_report, to_dict
 
 _TRIED = (3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 65, 80, 100)
 """Numbers of poses to try for a goal."""

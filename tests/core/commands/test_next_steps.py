@@ -11,7 +11,8 @@ import pytest
 import calib
 from calib.core.commands.next_steps import advice_after_fit
 from calib.core.judging.reasons import Answer, Code, Verdict
-from calib.planning.next_steps import advice_after_check, advice_after_select
+from calib.planning.assessment_text import advice_after_check
+from calib.planning.selection_text import advice_after_select
 from tests.project import EXAMPLES
 
 SMALLER_NOISE = Code.NOISE.says("", answer=Answer.STATE_NOISE)

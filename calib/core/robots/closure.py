@@ -95,10 +95,7 @@ def motion(
         closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
     """
     swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
-    to_frame = swept.rotation[:, swept.index[target.a]].transpose(0, 2, 1)
-    mapping = np.zeros((len(actuated), 6, 6))
-    mapping[:, :3] = kinematics.twist_map(swept, target)
-    mapping[:, 3:, 3:] = to_frame
+    mapping = kinematics.motion_map(swept, kinematics.motion_rows(swept, (target,), angular=True))
 
     def derivative_by(select: FloatArray) -> FloatArray:
         coordinates = kinematics.Coordinates.from_signs(
@@ -113,7 +110,8 @@ def motion(
             closures = np.concatenate(residual(mechanism, actuated, passive)[1:], axis=2)
         by_joint = -np.linalg.solve(closures[:, :, : passive.shape[1]], closures[:, :, passive.shape[1] :])
         jacobian += derivative_by(mechanism.select_passive) @ by_joint
-    return kinematics.value(swept, target), to_frame @ swept.rotation[:, swept.index[target.b]], jacobian, by_joint
+    rotation, position = kinematics.seen_frame(swept, target)
+    return position, rotation, jacobian, by_joint
 
 
 def scale_closure(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:

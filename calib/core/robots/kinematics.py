@@ -250,16 +250,6 @@ class Sweep:
         return self.rotation.transpose(0, 1, 3, 2)[:, a, axis], self.translation[:, b]
 
 
-def compiled_sweep(shared: SweepCache, joints: FloatArray) -> Sweep:
-    """Return the sweep of `sweep` without the Jacobian, by compiled code.
-
-    Args:
-        shared: The robot, the frames that are needed, and the compiled functions.
-        joints: Configurations, (n, n_joints) [m or rad].
-    """
-    return Sweep(shared, shared.functions.poses(shared.tree, joints[:, shared.reduced.joints]), None)
-
-
 def sweep(
     mechanism: Mechanism,
     joints: FloatArray,
@@ -268,16 +258,18 @@ def sweep(
     *,
     poses_only: bool = False,
 ) -> Sweep:
-    """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad].
+    """Run Pinocchio, or compiled code, over the configurations `joints`, (n, n_joints) [m or rad].
 
     "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.reduced_to`).
 
     Args:
         joints: Configurations.
         shared: Data that other sweeps for these pairs have computed.
-        poses_only: Whether the Jacobian is not needed.
+        poses_only: Whether the Jacobian is not needed; compiled code never computes it.
     """
     shared = SweepCache(mechanism, pairs) if shared is None else shared
+    if shared.functions is not None:
+        return Sweep(shared, shared.functions.poses(shared.tree, joints[:, shared.reduced.joints]), None)
     model, data, seen, moved = shared.pinocchio
     n, q = len(joints), np.ascontiguousarray(joints[:, shared.reduced.joints])
     poses = np.empty((n, len(seen) + 1, 12))
@@ -369,26 +361,29 @@ def _pose_map(swept: Sweep, a: int, b: int) -> FloatArray:
     return maps
 
 
-def motion_map(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool) -> FloatArray:
-    """Return the maps from V_b - V_a (world twists) to [dp; dw], the motion of each b in the axes of its a.
-
-    dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
+def motion_rows(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool) -> IntArray:
+    """Return the rows of [dp; dw], the motion of each b in the axes of its a: frames a and b, axis, and 1 for a turn.
 
     Args:
-        angular: Whether to return dw too.
+        angular: Whether dw is among them.
 
     Returns:
-        (n, n_pairs * (3 or 6), 6), one pair's rows after the other's.
+        (4, n_rows), one pair's rows after the other's.
     """
-    a, b = ([swept.index[frame] for frame in frames] for frames in zip(*((p.a, p.b) for p in pairs), strict=True))
-    n, width = len(swept.rotation), 6 if angular else 3
-    axes = swept.rotation[:, a].transpose(0, 1, 3, 2)
-    result = np.zeros((n, len(pairs), width, 6))
-    points = np.repeat(swept.translation[:, b], 3, axis=1)
-    result[:, :, :3] = _with_moments(points, axes.reshape(n, -1, 3)).reshape(n, -1, 3, 6)
-    if angular:
-        result[:, :, 3:, 3:] = axes
-    return result.reshape(n, -1, 6)
+    every, index = range(6 if angular else 3), swept.index
+    return np.array([(index[pair.a], index[pair.b], row % 3, row // 3) for pair in pairs for row in every]).T.copy()
+
+
+def motion_map(swept: Sweep, rows: IntArray) -> FloatArray:
+    """Return the map from V_b - V_a (world twists) to rows (4, n_rows) of `motion_rows`, (n, n_rows, 6).
+
+    dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
+    """
+    a, b, axis, turns = rows
+    axes, is_turn = swept.rotation.transpose(0, 1, 3, 2)[:, a, axis], turns == 1
+    result = _with_moments(swept.translation[:, b], axes)
+    result[:, is_turn, :3], result[:, is_turn, 3:] = 0.0, axes[:, is_turn]
+    return result
 
 
 def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates) -> FloatArray:

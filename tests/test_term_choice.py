@@ -20,7 +20,7 @@ from calib.core.data.pose_groups import boxes
 from calib.core.fitting.terms.candidate_terms import candidates
 from calib.core.fitting.terms.joint_curves import is_beyond_learned
 from calib.core.fitting.validation import stretches
-from calib.core.robots.terms.coupling import CouplingSection
+from calib.core.robots.terms.one_coefficient import CouplingSection
 from calib.core.robots.terms.terms import TERMS, parse_terms
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

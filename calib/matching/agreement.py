@@ -26,7 +26,7 @@ from calib.core.base.errors import CalibrationError
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
 from calib.core.robots.jacobian import linearise
-from calib.core.robots.joint_samples import joint_samples
+from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.robot import Robot
 
 _DRAWS = 600

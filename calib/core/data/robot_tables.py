@@ -15,8 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from calib.core.base.errors import DataError, nearest
-from calib.core.base.mapped_columns import MappedColumn
-from calib.core.base.units import DISPLAY_UNIT, PER_SI
+from calib.core.base.units import DISPLAY_UNIT, PER_SI, MappedColumn
 from calib.core.base.words import warn_once
 from calib.core.data.tables import Source, Table, read_table
 from calib.core.robots.robot import Robot

@@ -22,9 +22,8 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, nearest_column
 from calib.core.base.files import read_text
 from calib.core.base.letters import unseen, visible
-from calib.core.base.mapped_columns import MappedColumn, mapped_column
 from calib.core.base.own_files import is_mark
-from calib.core.base.units import Dimension, per_si, split_column
+from calib.core.base.units import Dimension, MappedColumn, mapped_column, per_si, split_column
 from calib.core.base.words import warn_once
 from calib.core.data.layouts import (
     COMMENTS,

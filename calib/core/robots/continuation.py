@@ -32,7 +32,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.robots import kinematics
 from calib.core.robots.acceleration import kernels
 from calib.core.robots.closure import AssemblyMode, LoopRows
-from calib.core.robots.joint_samples import joint_samples
+from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.mechanism import Mechanism
 
 TOLERANCE = 1e-12

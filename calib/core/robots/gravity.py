@@ -195,7 +195,9 @@ def _measured_direction(
     """Directions that sensors read (n, 3), in the axes of the root link, (n, 3)."""
     if section.frame is None:
         return down
-    return np.asarray(np.einsum("nab,nb->na", _rotations(mechanism, section.frame, joints), down))
+    pair = RelativeFrame(section.frame, 0, mechanism.joint(section.frame), True, ())
+    rotation, _ = kinematics.seen_frame(kinematics.sweep(mechanism, joints, (pair,), poses_only=True), pair)
+    return np.asarray(np.einsum("nab,nb->na", rotation, down))
 
 
 def contradiction_angles(description: Description, mechanism: Mechanism, q: FloatArray, context: Context) -> FloatArray:
@@ -234,12 +236,6 @@ def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:
     cross = np.cross(np.eye(3)[axis], np.eye(3)).T
     rotation = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
     return rotation, cross @ rotation
-
-
-def _rotations(mechanism: Mechanism, frame: str, joints: FloatArray) -> FloatArray:
-    """Orientation of a link in the root link, (n, 3, 3)."""
-    pair = RelativeFrame(frame, 0, mechanism.joint(frame), True, ())
-    return kinematics.seen_frame(kinematics.sweep(mechanism, joints, (pair,), poses_only=True), pair)[0]
 
 
 def turn_columns(

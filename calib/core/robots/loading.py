@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, nearest, require_known
-from calib.core.base.mapped_columns import mapped_column
 from calib.core.base.registry import load_group
 from calib.core.base.sections import read_yaml
-from calib.core.base.units import Dimension, per_si
+from calib.core.base.units import Dimension, mapped_column, per_si
 from calib.core.instruments.kind import Instrument, JointInstrument
 from calib.core.robots.described_instruments import instruments_of, places_of
 from calib.core.robots.description import (

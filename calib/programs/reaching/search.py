@@ -16,7 +16,7 @@ import scipy
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.robots import loops
 from calib.core.robots.closure import actuated_jacobian
-from calib.core.robots.joint_samples import joint_samples
+from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.robot import Robot
 from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 

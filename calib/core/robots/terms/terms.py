@@ -15,11 +15,11 @@ from calib.core.base.errors import DescriptionError, InputError, nearest
 from calib.core.base.other_words import hint_for
 from calib.core.base.registry import Registry, entry
 from calib.core.base.units import Dimension
-from calib.core.robots.terms.coupling import Coupling
 from calib.core.robots.terms.one_coefficient import (
     Backlash,
     Bending,
     Compliance,
+    Coupling,
     Drift,
     Gain,
     GravityBacklash,

@@ -104,23 +104,14 @@ class _Tree:
 
     def __init__(self, urdf: UrdfText) -> None:
         self.urdf = urdf
-        parent = {joint.child: joint for joint in urdf.joints}
-        self.way: dict[str, list[UrdfJoint]] = {link: [] for link in urdf.links if link not in parent}
-        self.distance: dict[str, float] = dict.fromkeys(self.way, 0.0)
-        standing: dict[str, list[UrdfJoint]] = {}
-        for joint in urdf.joints:
-            standing.setdefault(joint.parent, []).append(joint)
-        outwards = list(self.way)
-        for link in outwards:  # grows while it is read
-            for joint in standing.get(link, ()):
-                self.way[joint.child] = [*self.way[link], joint]
-                self.distance[joint.child] = self.distance[link] + math.hypot(*joint.xyz)
-                outwards.append(joint.child)
+        self.way: dict[str, list[UrdfJoint]] = {urdf.root: []}
+        self.distance = {urdf.root: 0.0}
+        for joint in urdf.joints_from_root:
+            self.way[joint.child] = [*self.way[joint.parent], joint]
+            self.distance[joint.child] = self.distance[joint.parent] + math.hypot(*joint.xyz)
         self.furthest = dict(self.distance)
-        for link in reversed(outwards):
-            if link in parent:
-                carrier = parent[link].parent
-                self.furthest[carrier] = max(self.furthest[carrier], self.furthest[link])
+        for joint in reversed(urdf.joints_from_root):
+            self.furthest[joint.parent] = max(self.furthest[joint.parent], self.furthest[joint.child])
         self.body = {link: ([""] + [joint.name for joint in _moving(self.way[link])])[-1] for link in urdf.links}
         self.carried = {joint.name: joint.child for joint in urdf.joints}
 

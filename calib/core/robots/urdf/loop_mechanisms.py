@@ -57,14 +57,12 @@ class Plan:
     targets: dict[str, tuple[str, Triple]] = field(default_factory=dict)
     free: list[tuple[str, str]] = field(default_factory=list)
 
-    def add_fixed_joint(self, name: str, parent: str, child: str, xyz: Iterable[float], free: str) -> None:
-        """Add a fixed joint whose origin components `free` can be calibrated."""
-        self._add(name, "fixed", parent, child, xyz)
-        self.free.append((name, free))
-
-    def place(self, name: str, parent: str, child: str, xyz: Iterable[float], turned: float = 0.0) -> None:
-        """Add a fixed joint without free components."""
+    def add_fixed_joint(
+        self, name: str, parent: str, child: str, xyz: Iterable[float], free: str = "", turned: float = 0.0
+    ) -> None:
+        """Add a fixed joint, turned about z by `turned` [rad]; `free` names components that can be calibrated."""
         self._add(name, "fixed", parent, child, xyz, turned)
+        self.free += [(name, free)] if free else []
 
     def hinge(
         self, name: str, parent: str, child: str, home: float, xyz: Iterable[float] = _HERE, *, axis: str = "0 0 1",

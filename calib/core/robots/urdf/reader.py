@@ -14,6 +14,7 @@ import math
 import re
 import xml.parsers.expat
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calib.core.base.errors import UrdfError, require_known
@@ -306,15 +307,20 @@ def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
     if len(roots) != 1:
         fault = "joints form a ring, no root link" if not roots else f"several root links: {', '.join(roots[:5])}"
         raise UrdfError(f"{path}: {fault}; a URDF is one tree")
-    reached = {roots[0]}
-    children: dict[str, list[str]] = {}
-    for child, joint in parent_of.items():
-        children.setdefault(joint.parent, []).append(child)
-    waiting = [roots[0]]
-    while waiting:
-        child_links = children.get(waiting.pop(), [])
-        reached.update(child_links)
-        waiting.extend(child_links)
-    if len(reached) < len(known):
+    if len(from_root(roots[0], joints)) < len(joints):
+        reached = {roots[0], *(joint.child for joint in from_root(roots[0], joints))}
         lost = next(link for link in links if link not in reached)
         raise UrdfError(f"{path}: link '{lost}' is its own ancestor; a URDF is one tree")
+
+
+def from_root(root: str, joints: Sequence[UrdfJoint]) -> list[UrdfJoint]:
+    """Return joints that the root link carries, parents first, otherwise in file order."""
+    children: dict[str, list[UrdfJoint]] = {}
+    for joint in joints:
+        children.setdefault(joint.parent, []).append(joint)
+    order, waiting = list[UrdfJoint](), [root]
+    while waiting:
+        carried = children.get(waiting.pop(0), [])
+        order += carried
+        waiting = [joint.child for joint in carried] + waiting
+    return order

@@ -32,6 +32,7 @@ from calib.core.robots.urdf.reader import (
     Triple,
     UrdfJoint,
     UrdfReader,
+    from_root,
 )
 from calib.core.robots.urdf.sdf_reading import read_sdf
 from calib.core.robots.urdf.ur_kinematics import read_origins, ur_urdf
@@ -87,16 +88,7 @@ class UrdfText:
     @property
     def joints_from_root(self) -> list[UrdfJoint]:
         """Joints with parents first, otherwise in file order."""
-        children: dict[str, list[UrdfJoint]] = {link: [] for link in self.links}
-        for joint in self.joints:
-            children[joint.parent].append(joint)
-        order: list[UrdfJoint] = []
-        waiting = [self.root]
-        while waiting:
-            joints = children[waiting.pop(0)]
-            order.extend(joints)
-            waiting = [joint.child for joint in joints] + waiting
-        return order
+        return from_root(self.root, self.joints)
 
     def limits(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits, (n,) each [m or rad]; infinite if the URDF has none."""

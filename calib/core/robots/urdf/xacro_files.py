@@ -178,10 +178,7 @@ class _Packages:
         around = next((folder for folder in path.parents if (folder / "package.xml").is_file()), None)
         self.own = around or (path.parents[1] if len(path.parents) > 2 else path.parent)
         self.found: dict[str, str] = {}
-        self._prefixes, self._roots = (
-            _folders_in_variable("AMENT_PREFIX_PATH"),
-            _folders_in_variable("ROS_PACKAGE_PATH"),
-        )
+        self._prefixes, self._roots = map(folders_in_variable, ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH"))
 
     def find(self, name: str) -> str:
         """Return the folder of a package."""
@@ -204,8 +201,8 @@ class _Packages:
                 yield from (file.parent for file in sorted(root.glob("*/" * depth + "package.xml")))
 
 
-def _folders_in_variable(name: str) -> list[str]:
-    """Folders in an environment variable."""
+def folders_in_variable(name: str) -> list[str]:
+    """Return the folders that an environment variable names."""
     return [entry for entry in os.environ.get(name, "").split(os.pathsep) if entry]
 
 
@@ -220,7 +217,7 @@ def _is_package(folder: Path, name: str) -> bool:
 
 def _guard(packages: _Packages) -> Callable[[str, tuple[object, ...]], None]:
     """A hook of Python that refuses to open files outside packages, and to start programs."""
-    installed = [entry for name in _PACKAGES for entry in _folders_in_variable(name)]
+    installed = [entry for name in _PACKAGES for entry in folders_in_variable(name)]
     python = [sys.prefix, sys.base_prefix, *sys.path]
     folders = [os.path.realpath(folder) for folder in (str(packages.own), *installed, *python) if folder]
 

@@ -8,7 +8,6 @@ eps / h by rounding.
 from __future__ import annotations
 
 import numpy as np
-import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import ComputationError
@@ -83,7 +82,8 @@ def check_kind(
             f"{subject}: with_errors() does not change row {axes[row]} alone by the given error",
         )
     for k, column in enumerate(columns):
-        ends = [compare(_view_after_step(seen, k, sign * _STEP), own, values).residuals for sign in (1, -1)]
+        moved = (seen.after_step(k, h) if isinstance(seen, View) else seen + h for h in (_STEP, -_STEP))
+        ends = [compare(at, own, values).residuals for at in moved]
         _require_same(
             by_seen[:, :, k], (ends[0] - ends[1]) / (2 * _STEP), by_seen, f"{subject}: derivative by {column}", axes
         )
@@ -94,16 +94,6 @@ def check_kind(
         _require_same(
             found, (ends[0] - ends[1]) / (2 * step[k]), found, f"{subject}: derivative by {parameter.name}", axes
         )
-
-
-def _view_after_step(seen: View | FloatArray, k: int, step: float) -> View | FloatArray:
-    """The view after a step of component k of the twist, or of the joint."""
-    if not isinstance(seen, View):
-        return np.asarray(seen + step)
-    change = step * np.eye(3)[k % 3]
-    if k < 3:
-        return View(seen.rotation, seen.translation + change)
-    return View(scipy.spatial.transform.Rotation.from_rotvec(change).as_matrix() @ seen.rotation, seen.translation)
 
 
 def _require_same(given: FloatArray, found: FloatArray, all_of_it: FloatArray, subject: str, axes: list[str]) -> None:

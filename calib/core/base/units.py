@@ -186,6 +186,16 @@ def mapped_column(text: str) -> MappedColumn:
     return MappedColumn(match["name"], unit, factor, offset)
 
 
+def error_unit(dimension: Dimension) -> tuple[str, float]:
+    """Return the unit of errors in tables, and the factor to it from SI: mm and mrad, 1000."""
+    return ERROR_UNIT[dimension], error_scale(dimension)
+
+
+def display_unit(dimension: Dimension) -> tuple[str, float]:
+    """Return the unit of values in files and tables, such as mm and deg, and the factor to it from SI."""
+    return DISPLAY_UNIT[dimension], display_scale(dimension)
+
+
 def error_scale(dimension: Dimension) -> float:
     """Return the factor from SI to the unit of errors in tables: 1000 for lengths and angles, in mm and mrad."""
     return PER_SI[dimension][ERROR_UNIT[dimension]]

@@ -99,6 +99,18 @@ class DhTable:
     convention: Convention
     rows: tuple[DhRow, ...]
 
+    def poses(self, q: FloatArray) -> FloatArray:
+        """Return the pose of the last frame in the base frame, (n, 4, 4) [m], at joint values (n, n_moving)."""
+        poses = np.tile(np.eye(4), (len(q), 1, 1))
+        columns = iter(q.T)
+        for row in self.rows:
+            along = np.tile(row.motion_along_z.homogeneous, (len(q), 1, 1))
+            if row.kind != "fixed":
+                along = along @ _motions(row.kind, row.sign * next(columns))
+            across = row.motion_along_x.homogeneous
+            poses = poses @ along @ across if self.convention == "standard" else poses @ across @ along
+        return poses
+
 
 def dh_table(links: Sequence[pin.SE3], joints: Sequence[DhRow], convention: Convention) -> DhTable:
     """Return the table of a chain of joints along and about the z axes of their frames.
@@ -184,6 +196,18 @@ def _z_transform(theta: float, d: float) -> pin.SE3:
 def _x_transform(a: float, alpha: float, beta: float) -> pin.SE3:
     turn = pin.rpy.rpyToMatrix(alpha, 0.0, 0.0) @ pin.rpy.rpyToMatrix(0.0, beta, 0.0)
     return pin.SE3(turn, np.array([a, 0.0, 0.0]))
+
+
+def _motions(kind: Kind, values: FloatArray) -> FloatArray:
+    """Transforms by the motion of a joint alone, (n, 4, 4), at values (n,)."""
+    motions = np.tile(np.eye(4), (len(values), 1, 1))
+    if kind == "prismatic":
+        motions[:, 2, 3] = values
+        return motions
+    motions[:, 0, 0] = motions[:, 1, 1] = np.cos(values)
+    motions[:, 1, 0] = np.sin(values)
+    motions[:, 0, 1] = -motions[:, 1, 0]
+    return motions
 
 
 def _to_next_axis(link: pin.SE3) -> tuple[float, float, float, float, float]:

@@ -154,8 +154,7 @@ def _exclusive_in(parent: Path) -> Iterator[None]:
 def exchange(path: Path, other: Path) -> bool:
     """Exchange two names in one step; False where the system or the file system cannot.
 
-    Raises:
-        OSError: The system can exchange names, but one of these may not be moved.
+    `OSError` if the system can exchange names, but one of these may not be moved.
     """
     function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if function is None:

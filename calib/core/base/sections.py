@@ -285,23 +285,16 @@ for _tag in (yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _OPENCV_MATRIX):
 
 
 def read_yaml(path: Path | str, what: str = "a robot description (YAML) or a URDF") -> object:
-    """Read a YAML file.
+    """Read a YAML file; a missing, unreadable or broken one is a `DescriptionError` that names the line.
 
     Args:
         what: Expected content, for messages.
-
-    Raises:
-        DescriptionError: Missing or unreadable file, or broken YAML; the message names the line.
     """
     return parse_yaml(read_text(path, what, DescriptionError), path)
 
 
 def parse_yaml(text: str, where: Path | str) -> Any:
-    """Return what YAML says.
-
-    Raises:
-        DescriptionError: Broken YAML, or aliases that stand for very much; the message names the line.
-    """
+    """Return what YAML says; a `DescriptionError` names the line of broken YAML, or of aliases for very much."""
     try:
         return yaml.load(text, Loader=_Loader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: such as a date that does not exist

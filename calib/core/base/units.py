@@ -58,15 +58,9 @@ _FORM = re.compile(
 
 
 def per_si(unit: str | None, dimension: Dimension, where: str, error: type[Exception] = InputError) -> float:
-    """Return how many of `unit` make one SI unit; divide by it to get SI.
+    """Return how many of `unit` make one SI unit; divide by it to get SI. None or "" means SI.
 
-    Args:
-        unit: Unit name; None or "" means SI.
-        dimension: Dimension that the unit must have.
-        where: Thing that the unit belongs to, for the error message.
-
-    Raises:
-        InputError: Or the given `error`: the unit is not known, or has another dimension.
+    A unit that is unknown, or of another dimension, raises the `error`, an `InputError`; `where` names the thing.
     """
     units = PER_SI[dimension]
     if not unit:
@@ -209,16 +203,10 @@ def display_scale(dimension: Dimension) -> float:
 def quantity_text(
     value: float, dimension: Dimension, form: str = ".3g", units: Mapping[Dimension, str] = ERROR_UNIT
 ) -> str:
-    """Return an SI value with its unit.
+    """Return an SI value with its unit, one of `ERROR_UNIT` or `DISPLAY_UNIT`.
 
     >>> quantity_text(0.000123456, "length"), quantity_text(0.5, "angle", ".1f", DISPLAY_UNIT)
     ('0.123 mm', '28.6 deg')
-
-    Args:
-        value: The value [SI].
-        dimension: Dimension of the value.
-        form: Format of the number.
-        units: The unit of each dimension: `ERROR_UNIT` or `DISPLAY_UNIT`.
     """
     unit = units[dimension]
     return f"{value * PER_SI[dimension][unit]:{form}} {unit}"

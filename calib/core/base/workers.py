@@ -44,16 +44,11 @@ def results_in_order(
     executor: Executor | None,
     progress: Progress | None = None,
 ) -> Iterator[Result]:
-    """Yield the function's results, first item first.
+    """Yield the function's results, first item first; this process computes them if no executor is given.
 
     At most `_AHEAD` items are with the executor at a time, so that its memory does not grow with their number. The
-    function holds the data that all pieces share.
-
-    Args:
-        function: Function of a module, so that other processes find it. Neither it nor the caller may change its input.
-        items: Its arguments.
-        executor: The executor; this process if not given.
-        progress: Told after each item.
+    function holds the data that all pieces share. It is a function of a module, so that other processes find it;
+    neither it nor the caller may change its input. `progress` is told after each item.
 
     Raises:
         ComputationError: The same piece of work was lost several times.

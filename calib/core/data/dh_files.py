@@ -27,13 +27,9 @@ _MARK = "convention:"
 
 
 def read_dh(path: Path | str, convention: str | None = None) -> DhTable:
-    """Read a table.
+    """Read a table; `convention` is needed if the file does not say it.
 
-    Args:
-        convention: `standard` or `modified`; if not given, the file must say it.
-
-    Raises:
-        DataError: A column, a cell or the convention is missing or wrong; the message names line and column.
+    A `DataError` names line and column of what is missing or wrong.
     """
     table = read_table(path)
     for name in table.names:

@@ -38,15 +38,11 @@ def lacking_column(name: str, robot: Robot, table: Table) -> str:
 def readings_in(
     robot: Robot, instrument: Instrument, table: Table, rows: IntArray, *, own_lines: bool = False
 ) -> Readings:
-    """Return the readings of an instrument in the rows of a table.
+    """Return the readings of an instrument in the rows of a table; a `DataError` names file, line and column.
 
     Args:
-        instrument: One of its instruments.
         rows: Visit of each row, (n_table_rows,).
         own_lines: Whether readings keep their file and line, because other files have the joint values.
-
-    Raises:
-        DataError: The message names file, line and column.
     """
     lacking = next((column.name for column in instrument.columns() if column.name not in table.names), None)
     if lacking is not None:
@@ -120,8 +116,7 @@ def _is_labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArra
 def setups_of(robot: Robot, table: Table) -> IntArray:
     """Return the number of the setup of each row, (n_table_rows,).
 
-    Raises:
-        DataError: The table has no such column, or a setup that the description does not name.
+    `DataError` if the table has no such column, or a setup that the description does not name.
     """
     names = list(robot.description.setups)
     if not names:

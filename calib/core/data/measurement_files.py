@@ -175,14 +175,9 @@ def format_positions(
     comments: tuple[str, ...] = (),
     std: FloatArray | None = None,
 ) -> str:
-    """Return positions of targets as CSV text in mm and degrees.
+    """Return positions of targets (n_poses, n_targets, 3) [m] as CSV text in mm and degrees, after comments.
 
-    Args:
-        robot: Names joints and targets.
-        poses: Joint values, and the conditions that they state.
-        positions: (n_poses, n_targets, 3) [m].
-        comments: Lines to put first.
-        std: Standard deviation of each coordinate, (n_poses, n_targets, 3) [m], in columns `<target>_std_x` ...
+    Columns `<target>_std_x` ... have the standard deviations, `std`, of the same shape.
     """
     columns = poses.to_dict(robot)
     for suffix, numbers in (("", positions), ("std_", std)):
@@ -201,8 +196,7 @@ _TIME = "time"
 def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
     """Return tables that a column `pose` joins; it is added if the description asks to join by rows or by time.
 
-    Raises:
-        DataError: No table or several have joint values, numbers of rows differ, or there is no `time` near enough.
+    `DataError` if not one table has joint values, numbers of rows differ, or there is no `time` near enough.
     """
     how, joints = robot.description.join, set(robot.commanded_names)
     if how == "pose" or len(tables) == 1:

@@ -33,20 +33,14 @@ def read_plan(path: Path | str, robot: Robot) -> Poses:
     """Read joint values and the planned readings there: instruments, setup, and touched things.
 
     The column `instrument` names one, or several joined by `+`; an empty cell, or no such column, means all of them.
-    Touched things are in the columns of the instruments that touch; without such a column they are not known.
-
-    Raises:
-        DataError: The message names file, line and column.
+    Touched things are in the columns of the instruments that touch; without such a column they are not known. A
+    `DataError` names file, line and column.
     """
     return plan_of_table(read_robot_table(path, robot), robot)
 
 
 def plan_of_table(table: Table, robot: Robot) -> Poses:
-    """Return the plan in a table; see `read_plan`.
-
-    Raises:
-        DataError: The message names file, line and column.
-    """
+    """Return the plan in a table; see `read_plan`."""
     used = {column for instrument in robot.instruments for column in columns_in(instrument, table)}
     poses = poses_of_table(table, robot, used)
     reading = _reading(robot, table)

@@ -32,12 +32,10 @@ def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | N
     """Read a table (`calib.core.data.tables.read_table`), its columns called as the robot's.
 
     Args:
-        source: The file or the table in memory.
         growing: Lines so far of a file that is still written.
 
     Raises:
-        DataError: What `read_table` raises; a column that would be guessed has no unit, or one that is not written as
-            units are; or blanks separate the columns.
+        DataError: As `read_table`; a guessed column has no readable unit; or blanks separate the columns.
     """
     table = read_table(source, robot.description.columns, growing=growing)
     if len(table.names) == 1 and table.names[0] not in robot.joint_names and len(table.rows[0][0].split()) > 1:

@@ -25,9 +25,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     """Return the visits of a table; where it does not name its poses, they are counted on from `first`.
 
     Args:
-        robot: Robot with these joints.
         used: Columns that something is read from, other than joints and conditions of a visit.
-        first: Visits before the first row.
 
     Raises:
         DataError: The message names file, line and column.
@@ -77,8 +75,6 @@ def stands_of_table(table: Table, robot: Robot, setups: IntArray | None) -> dict
     """Return the joint values that inclinometers read, where the other joints are unknown, (n,) [rad] by name.
 
     Args:
-        table: The table, with columns of these joints or of their sensors.
-        robot: Robot with these joints.
         setups: The setup of each row, (n,); None: the first.
 
     Raises:
@@ -164,21 +160,18 @@ def _check_tilts(robot: Robot, sensor: str, tilts: FloatArray, table: Table) -> 
 def conditions_of_table(
     table: Table, robot: Robot, joints: FloatArray | None = None
 ) -> tuple[dict[str, FloatArray], FloatArray | None]:
-    """Return the conditions of the robot in each row of a table.
+    """Return the conditions of the robot in each row of a table, and the directions of approach.
 
     Args:
-        robot: Robot whose terms name their inputs.
         joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then their
             order tells nothing.
 
     Returns:
         Columns that terms depend on, and those of gravity where the description speaks of it, (n,) [SI] by name, NaN
-        where empty; directions of approach, 0 for joints without a column, (n, n_actuated), None where no joint has
-        one.
+        where empty; directions, 0 for joints without a column, (n, n_actuated), None where no joint has one.
 
     Raises:
-        DataError: Cells that are no numbers, columns that say no direction of gravity, or a direction of approach of a
-            joint whose name is misspelt.
+        DataError: A cell, a direction of gravity or the name of a joint is wrong.
     """
     dimensions, with_gravity = condition_columns(robot.terms), robot.description.gravity is not None
     keys = [key for key in dimensions if key in table.names and (with_gravity or key not in GRAVITY_COLUMNS)]

@@ -107,15 +107,10 @@ class Table:
         return f"{self.path}: no column '{name}'{hint}"
 
     def column(self, name: str, dimension: Dimension | None, *, gaps: bool = False) -> FloatArray:
-        """Return a column of numbers in SI, (n_rows,).
+        """Return a column of numbers of a dimension (None: pure numbers) in SI, (n_rows,).
 
-        Args:
-            dimension: Its dimension; None: pure numbers.
-            gaps: Whether cells may be empty; these are NaN.
-
-        Raises:
-            DataError: No such column, wrong unit, a cell that is not a finite number, or decimal commas mixed with
-                points.
+        With `gaps`, cells may be empty, which gives NaN. `DataError` if there is no such column, its unit is wrong, a
+        cell is no finite number, or decimal commas are mixed with points.
         """
         if name not in self.names:
             raise DataError(self.lacks(name))
@@ -188,13 +183,9 @@ class Table:
 
 
 def read_number(cell: str, where: str, separator: str = ",") -> float:
-    """Read the number in a cell.
+    """Read the number in a cell; an empty one, no number, or one that is not finite, is a `DataError`.
 
-    Args:
-        separator: Separator of cells; if that is not the comma, the comma may be the decimal mark.
-
-    Raises:
-        DataError: The cell is empty, no number, or not finite.
+    Where the separator of cells is not the comma, the comma may be the decimal mark.
     """
     text = cell.strip()
     if not text:
@@ -217,8 +208,7 @@ def read_number(cell: str, where: str, separator: str = ",") -> float:
 def check_plausible(value: float, dimension: Dimension, where: str, place: str) -> None:
     """Raise `DataError` if a number without a unit is so large that it cannot be SI.
 
-    Args:
-        place: Place for the unit, such as `into the header`.
+    `place` is where to write the unit, such as `into the header`.
     """
     if dimension not in _SUSPICIOUS:
         return
@@ -244,7 +234,7 @@ def read_table(
         growing: Lines so far of a file that is still written.
 
     Raises:
-        DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
+        DataError: Unreadable file, no header or rows, duplicate columns, rows of the wrong length.
     """
     if is_columns(path):
         columns = [(name, list(path[name])) for name in unique_headers(path)]

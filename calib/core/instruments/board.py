@@ -176,15 +176,9 @@ def validate_board(content: object, where: str) -> Board:
 
 
 def read_board(text: str, where: str, folder: Path | None = None) -> Board:
-    """Return the board of a YAML file, or of its short form, such as chessboard:9x6:25mm.
+    """Return the board of a YAML file in `folder`, or of its short form, such as chessboard:9x6:25mm.
 
-    Args:
-        text: Name of the file, or the short form.
-        where: For messages on the short form.
-        folder: Folder of the file, if it is not the current one.
-
-    Raises:
-        DescriptionError: The text is no file and no short form, or a key is missing or wrong.
+    `DescriptionError` if the text is no file and no short form (`where` names it), or a key is missing or wrong.
     """
     kind, colon, rest = text.partition(":")
     path = (folder or Path()) / text

@@ -59,12 +59,7 @@ class Sightings:
 
 
 def guesses(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
-    """Return guesses at the places of camera and body, best first.
-
-    Args:
-        now: The present places.
-        known: Whether each of them is known.
-    """
+    """Return guesses at the places of camera and body, best first, from the present ones and whether each is known."""
     sample = sightings.select(np.unique(np.linspace(0, len(sightings.view) - 1, _POINTS).astype(np.intp)))
     tried = [now, *_from_views(sightings, now, known), *_from_points(sample, now, known)]
     tried.sort(key=lambda places: _typical(sample, places))
@@ -147,13 +142,7 @@ def _typical(sightings: Sightings, places: Places) -> float:
 def refine_places(
     sightings: Sightings, places: Places, known: tuple[bool, bool] = (False, False), steps: int = _STEPS
 ) -> Places:
-    """Return places after least squares over the unknown ones; far-off sightings count less.
-
-    Args:
-        places: Places to start from.
-        known: Whether each of them is known.
-        steps: Largest number of steps.
-    """
+    """Return places after some steps of least squares over the unknown ones; far-off sightings count less."""
     free = np.repeat(np.logical_not(known), 6)
     scale = max(np.sqrt(_typical(sightings, places)), 1e-6)
 

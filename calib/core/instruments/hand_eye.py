@@ -78,8 +78,7 @@ def solve_poses(
     """Return the poses (C, M) for which C A_i = L_i M fits best, (..., 4, 4) each [m].
 
     Args:
-        links: L_i, (..., n, 4, 4) [m].
-        seen: A_i, (..., n, 4, 4) [m].
+        links, seen: L_i and A_i, (..., n, 4, 4) [m].
         now: Present C and M, (4, 4) each [m]; components that the data do not determine stay near them.
         known: Whether C is known, and whether M is.
     """

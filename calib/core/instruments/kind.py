@@ -94,12 +94,7 @@ class Place:
 
 
 def placed(name: str, section: PlaceSection | PosedSection, unknown: tuple[Component, ...] | None = None) -> Place:
-    """Return a place of this name as the description states it.
-
-    Args:
-        section: Its entry in the description.
-        unknown: Components that the measurements must find; if not given, those that the section calls unknown.
-    """
+    """Return a place of this name as the description states it; `unknown` replaces the components that it calls so."""
     found = section.unknown if unknown is None else unknown
     return Place(name, section.frame, section.xyz, section.rpy, found, section.sigma, section.sigma_angle)
 

@@ -82,8 +82,6 @@ class PartNoise:
 
         Args:
             points: Positions of the target in the tracker's frame, (n, 3) [m]; only a `Beam` needs them.
-            n: Number of readings.
-            n_rows: Rows of the part.
         """
         if self.beam is not None and points is not None:
             distance = np.linalg.norm(points, axis=1)

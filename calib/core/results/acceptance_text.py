@@ -38,8 +38,7 @@ def text_report(
 ) -> str:
     """Return an acceptance as text, with figures of ISO 9283 and reasons for missing ones.
 
-    Args:
-        contains: Contributions to the covariance of the calibration, as far as they are known.
+    `contains` are contributions to the covariance of the calibration, as far as they are known.
     """
     data = acceptance.errors.data
     parts: list[str | Table] = [

@@ -231,10 +231,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
 def reading_keys(instrument: str, joints: FloatArray, values: FloatArray) -> list[bytes]:
     """Return a key of each reading of an instrument, equal for equal readings.
 
-    Args:
-        instrument: Its name.
-        joints: Joint values of each reading, (n, n_actuated) [m or rad].
-        values: The readings, (n, n_values).
+    The readings are joint values (n, n_actuated) [m or rad] and what was read, (n, n_values).
     """
     numbers = np.round(np.hstack([joints, values]), _DIGITS) + 0.0  # no -0.0
     return [instrument.encode() + row.tobytes() for row in np.where(np.isnan(numbers), np.nan, numbers)]

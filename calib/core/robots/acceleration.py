@@ -26,11 +26,7 @@ _requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=
 
 @contextmanager
 def compile_kinematics(use: bool = True) -> Iterator[None]:
-    """In the block, compute kinematics by compiled code if numba is installed; or never.
-
-    Args:
-        use: Whether to use compiled code.
-    """
+    """In the block, compute kinematics by compiled code if numba is installed; or never."""
     before = _requested.set(use)
     try:
         yield
@@ -39,23 +35,17 @@ def compile_kinematics(use: bool = True) -> Iterator[None]:
 
 
 def compile_for(n_poses: int, many: int = _MANY_OPEN) -> AbstractContextManager[None]:
-    """In the block, compute kinematics by compiled code if that is faster for `n_poses`, unless a caller decides
-    otherwise.
+    """In the block, use compiled code if that is faster for `n_poses`, one part after the other, unless a caller
+    decides.
 
     Args:
-        n_poses: Number of poses, one part after the other.
         many: Number of poses that is worth loading code that is already compiled.
     """
     return compile_kinematics() if _requested.get() is None and pays(n_poses, many) else nullcontext()
 
 
 def pays(n_poses: int, many: int = _MANY_OPEN) -> bool:
-    """Whether compiled code saves more time than it takes, if so many poses have to be computed.
-
-    Args:
-        n_poses: Number of these poses.
-        many: Number of poses that is worth loading code that is already compiled.
-    """
+    """Whether compiled code saves more time than it takes, if so many poses have to be computed; see `compile_for`."""
     return _AVAILABLE and n_poses >= many and (n_poses >= _TO_COMPILE * many or _functions().is_compiled())
 
 
@@ -70,11 +60,9 @@ def compilation_requested() -> bool:
 
 
 def kernels(mechanism: Mechanism, n_poses: int) -> Any:
-    """Return the compiled functions if they are to be used, else None.
+    """Return the compiled functions if they are to be used for so many poses at once, else None.
 
-    Args:
-        mechanism: The robot; loops that constrain directions are left to the reference.
-        n_poses: Number of poses that are computed at once.
+    Loops that constrain directions are left to the reference.
     """
     requested = _requested.get()
     use = pays(n_poses, many(mechanism)) if requested is None else requested

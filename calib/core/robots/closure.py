@@ -91,7 +91,6 @@ def motion(
     """Values of `actuated_jacobian`, and the derivative of the passive joints, (n, n_passive, n_actuated).
 
     Args:
-        mechanism, target, actuated, passive: Arguments of `actuated_jacobian`.
         closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
     """
     swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
@@ -115,11 +114,7 @@ def motion(
 
 
 def scale_closure(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
-    """Return C_p with metres divided by the characteristic length, so that its entries are pure numbers.
-
-    Args:
-        slope_passive: C_p, (n, n_rows, n_passive) [m or rad per m or rad].
-    """
+    """Return C_p, (n, n_rows, n_passive), with metres over the characteristic length: pure numbers."""
     rows = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
     return slope_passive * rows[:, None] * mechanism.passive_scale
 
@@ -133,11 +128,7 @@ def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArr
 
 
 def loop_openings(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each loop is open: lengths (n, n_loops) [m] and angles (n, n_loops) [rad].
-
-    Args:
-        values: r, (n, n_rows) [m, rad].
-    """
+    """Return how far each loop is open by r (n, n_rows): lengths [m] and angles [rad], (n, n_loops) each."""
     ends = np.cumsum([len(loop.rows) for loop in mechanism.loops])[:-1]
     lengths = np.split(np.where(mechanism.is_metre_row, values, 0.0), ends, axis=1)
     angles = np.split(np.where(mechanism.is_metre_row, 0.0, values), ends, axis=1)

@@ -222,11 +222,7 @@ class Description(Section):
 
 
 def read_description(path: Path | str) -> Description:
-    """Read and validate a robot description.
-
-    Raises:
-        DescriptionError: Missing file, broken YAML, unknown key, wrong value; the message names the place.
-    """
+    """Read a robot description; a `DescriptionError` names the place of a mistake."""
     text = read_text(path, "a robot description (YAML) or a URDF", DescriptionError)
     content = parse_yaml(text, path)
     if not isinstance(content, dict):

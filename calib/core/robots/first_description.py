@@ -236,7 +236,6 @@ def description_text(
     """Return the YAML text of a plain URDF's description, with comments.
 
     Args:
-        description: Its description.
         remark: Remark on the joints that it leaves out.
         measure: The way to measure, a name in `MEASURES`; positions of the target if not given.
         words: Further texts of this way to measure, as YAML.

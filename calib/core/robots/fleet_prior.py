@@ -84,8 +84,7 @@ class FleetSection(Section):
     def expected(self, parameters: Iterable[Parameter], where: str) -> tuple[Parameter, ...]:
         """Return parameters with their priors from the fleet; those that the fleet does not know stay as they are.
 
-        Raises:
-            DescriptionError: A number has a unit of another dimension, or a spread is not positive.
+        `DescriptionError` if a number has a unit of another dimension, or a spread is not positive.
         """
         return tuple(self._expected_parameter(p, where) if self.knows(p.name) else p for p in parameters)
 

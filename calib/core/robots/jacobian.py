@@ -52,10 +52,7 @@ def linearise(
 ) -> Linearisation:
     """Return positions of all targets and their derivative by every parameter, at the robot's current values.
 
-    Args:
-        configurations: Assembled poses, from `robot.assemble`.
-        turns: Whether to include the derivative of the targets' orientations.
-        joints: Whether to include derivatives by the actuated joints.
+    `turns` adds the derivative of the targets' orientations, `joints` derivatives by the actuated joints.
     """
     if not robot.terms and not joints:
         twists = parameter_twists(robot)
@@ -78,7 +75,7 @@ def origin_jacobian(
     *,
     turns: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return positions of all targets and their derivative by the right-perturbation twist of every origin.
+    """Return positions of all targets (n, n_targets, 3) [m], and their derivative by the twist of every origin.
 
     Args:
         configurations: Assembled poses.
@@ -86,8 +83,8 @@ def origin_jacobian(
         turns: Whether dw follows dp.
 
     Returns:
-        Positions (n, n_targets, 3) [m] and derivative (n, n_targets, 3 or 6, 6 n_joints or k), origins in the order of
-        `mechanism.origin_names`, six components [linear; angular] each, in the joint's own frame.
+        Positions, and derivative (n, n_targets, 3 or 6, 6 n_joints or k): origins in the order of
+        `mechanism.origin_names`, six components [linear; angular] each, right perturbations in the joint's own frame.
     """
     n, n_targets = len(configurations.actuated), len(mechanism.targets)
     width = 6 * mechanism.n_joints if twists is None else twists.shape[1]
@@ -132,16 +129,12 @@ def relative_motion(
     angular: bool,
     out: FloatArray | None = None,
 ) -> FloatArray:
-    """Return d[dp; dw]/d(origin twists) of frames b seen from frames a, loops closed.
+    """Return d[dp; dw]/d(origin twists) of frames b seen from frames a, (n, n_pairs, 3 or 6, 6 n_joints or k).
 
     Args:
-        swept: Kinematics of the poses.
         twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
         angular: Whether to include dw.
         out: Array for the result, if there is one.
-
-    Returns:
-        (n, n_pairs, 3 or 6, 6 n_joints or k).
     """
     rows, n = kinematics.motion_rows(swept, pairs, angular=angular), len(swept.poses)
     signs = np.repeat([mechanism.direction_signs(pair) for pair in pairs], rows.shape[1] // len(pairs), axis=0)
@@ -156,7 +149,6 @@ def passive_motion(
     """Return d(q_j)/d(origin twists) of one joint coordinate that the loops determine, (n, 1, k).
 
     Args:
-        swept: Kinematics of the poses.
         coordinate: d(q_j)/d(passive joints), (n_passive,); all zero for a joint that the user commands.
         twists: Combinations to take the derivative along, (6 n_joints, k).
     """
@@ -216,7 +208,6 @@ def derivative_by_parameters(
     """Return the derivative by some of the parameters, (n, n_rows, n_index): a part of `derivative` itself, or new.
 
     Args:
-        robot: Its joint terms belong to the columns.
         derivative: By the parameters that are no coefficients, then by the driven joints, (n, n_rows, k + n_driven).
         columns: phi of each joint term (`columns_of_terms`), (n, n_moved, n_coefficients) each.
         index: Numbers of the parameters, in rising order, (n_index,).

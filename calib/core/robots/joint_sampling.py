@@ -41,11 +41,7 @@ _DIRECTIONS = np.array([0.083, 0.131, 0.179, 0.777, 1.139, 1.621])  # directions
 
 
 def joint_samples(mode: AssemblyMode, count: int) -> FloatArray:
-    """Return the first points, (count, n_driven), from 0 to 1; the first one is a corner.
-
-    Args:
-        mode: Home of the nominal robot.
-    """
+    """Return points for the home of a nominal robot, (count, n_driven), from 0 to 1; the first is a corner."""
     mechanism = mode.mechanism
     motion = np.zeros(len(mechanism.driven))
     for target in mechanism.targets:  # seen from the base's link, wherever the measurement frame is
@@ -75,17 +71,10 @@ def validate_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
 def joint_box(
     mechanism: Mechanism, urdf: UrdfText, home: FloatArray, ranges: Ranges, path: str
 ) -> tuple[FloatArray, FloatArray]:
-    """Return joint limits; a turning joint without them, or with very wide ones, gets half a turn to each side of home.
+    """Return lower and upper joint limits, (n_actuated,) each [m or rad].
 
+    A turning joint without limits, or with very wide ones, gets half a turn to each side of `home` (n_actuated,).
     Joints with a range get this range, as far as it is inside their limits.
-
-    Args:
-        urdf: The URDF with its limits.
-        home: Home of the actuated joints, (n_actuated,) [m or rad].
-        ranges: Ranges that are valid.
-
-    Returns:
-        Lower and upper, (n_actuated,) each [m or rad].
 
     Raises:
         InputError: A range is outside the limits of its joint.
@@ -130,16 +119,12 @@ def draw_spread(
     *,
     draw_in: bool,
 ) -> FloatArray:
-    """Return up to `count` random values in a box, fewer if too few are usable; see the module docstring.
+    """Return up to `count` random values in a box, (n, n_actuated) [m or rad]; fewer if too few are usable.
 
     Args:
         box: Lower and upper, (n_actuated,) each [m or rad].
-        home: Centre towards which the box is shrunk, (n_actuated,) [m or rad].
+        home: Centre towards which the box is shrunk, if `draw_in`, (n_actuated,) [m or rad].
         usable: Function that returns the indices of usable joint values among (n, n_actuated).
-        draw_in: Whether the box is shrunk.
-
-    Returns:
-        (n, n_actuated) [m or rad].
     """
     lower, upper = box
     middle = np.clip(home, lower, upper)

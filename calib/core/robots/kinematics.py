@@ -43,23 +43,17 @@ def n_at_once(reduced: JointSubset) -> int:
 
 
 def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
-    """Yield n poses in parts of about equal size, at most 1.5 times `size`, so that no part is small.
-
-    Args:
-        n: Number of poses.
-        size: Number of poses to compute at a time.
-    """
+    """Yield n poses in parts of about equal size, at most 1.5 times `size`, so that no part is small."""
     count = max(round(n / size), min(n, 1))
     for k in range(count):
         yield slice(k * n // count, (k + 1) * n // count)
 
 
 def twists_in_world(swept: Sweep, joints: IntArray, twists: FloatArray) -> FloatArray:
-    """Return Ad(T_before) xi, (n, 6, n_twists), of twists in the frames before origins.
+    """Return Ad(T_before) xi, (n, 6, n_twists), of twists xi (n_twists, 6) in the frames before origins.
 
     Args:
         joints: Place of each twist's origin among the joints that count, (n_twists,).
-        twists: xi, (n_twists, 6).
     """
     before, (n, k) = swept.reduced.parents[joints], (len(swept.poses), len(joints))
     frames, at = np.unique(before, return_inverse=True)
@@ -142,7 +136,7 @@ class Coordinates:
         """Return the joints that follow some coordinates.
 
         Args:
-            signs: Effect of each joint that counts: +1 moves only b, -1 only a, else 0, (n_rows or 1, n_reduced).
+            signs: Effect of each joint: +1 moves only b, -1 only a, else 0, (n_rows or 1, n_reduced).
             select: E of the coordinates, (n_joints, n_coordinates).
         """
         left = select[reduced.joints]
@@ -193,12 +187,7 @@ class SweepCache:
         return self.reduced.places[a], self.reduced.places[b], axis
 
     def twist_map(self, twists: FloatArray | None, signs: FloatArray) -> TwistMap:
-        """Return twists along which to differentiate; those of the last call are kept.
-
-        Args:
-            twists: (6 n_joints, k), or None for every origin twist.
-            signs: Effect of each joint on each row, (n_rows, n_joints).
-        """
+        """Return a `TwistMap` of twists (6 n_joints, k) and signs (n_rows, n_joints); that of the last call is kept."""
         last, counts, n_rows = self._along, self.reduced.joints, len(signs)
         signs = np.concatenate([signs, self.mechanism.loop_signs])[:, counts]
         if last is None or last.twists is not twists or not np.array_equal(last.signs, signs):
@@ -362,13 +351,9 @@ def _pose_map(swept: Sweep, a: int, b: int) -> FloatArray:
 
 
 def motion_rows(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool) -> IntArray:
-    """Return the rows of [dp; dw], the motion of each b in the axes of its a: frames a and b, axis, and 1 for a turn.
+    """Return frames a and b, axis, and 1 for a turn, of each row of [dp; dw], (4, n_rows), pair by pair.
 
-    Args:
-        angular: Whether dw is among them.
-
-    Returns:
-        (4, n_rows), one pair's rows after the other's.
+    [dp; dw] is the motion of each b in the axes of its a; without `angular`, dp alone.
     """
     every, index = range(6 if angular else 3), swept.index
     return np.array([(index[pair.a], index[pair.b], row % 3, row // 3) for pair in pairs for row in every]).T.copy()
@@ -387,12 +372,7 @@ def motion_map(swept: Sweep, rows: IntArray) -> FloatArray:
 
 
 def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates) -> FloatArray:
-    """Return d(value)/d(coordinates), (n, n_rows, n_coordinates).
-
-    Args:
-        mapping: Result of `twist_map` or `motion_map`.
-        coordinates: Coordinates in the model of the same joints.
-    """
+    """Return d(value)/d(coordinates), (n, n_rows, n_coordinates), from a `twist_map` or `motion_map` (n, n_rows, 6)."""
     assert swept.jacobian is not None  # compiled code does not come here
     moved: FloatArray = np.matmul(mapping, swept.jacobian[:, :, coordinates.joints]) * coordinates.weights
     return moved if coordinates.sums is None else moved @ coordinates.sums
@@ -401,13 +381,11 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
 def origin_derivative(
     swept: Sweep, mapping: FloatArray, loops: tuple[FloatArray, FloatArray] | None, along: TwistMap, result: FloatArray
 ) -> None:
-    """Compute map (V_b - V_a) along origin twists, minus their effect through the loops, (n, n_rows, k).
+    """Fill `result` (n, n_rows, k) with map (V_b - V_a) along origin twists, minus their effect through the loops.
 
     Args:
         mapping: Map from V_b - V_a to the rows, (n, n_rows, 6).
         loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
-        along: The twists, and what they move.
-        result: Array to fill, (n, n_rows, k).
     """
     n, n_rows = mapping.shape[:2]
     joints, columns, twists = along.entries

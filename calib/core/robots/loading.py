@@ -66,11 +66,10 @@ def load(path: str | Path) -> Robot:
 def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None) -> tuple[Description, str]:
     """Return the description that a file of a robot stands for, and a remark on the choice.
 
-    That is its arm; with the loops of an MJCF or SDF file, the whole robot.
+    That is its arm (to the link `target`, if it is given); with the loops of an MJCF or SDF file, the whole robot.
 
     Args:
         urdf_path: How the description names the file.
-        target: Link that carries the measured point; the arm's end if not given.
 
     Raises:
         DescriptionError: There is no such link, or nothing moves it; or loops that do not determine the robot.
@@ -112,14 +111,10 @@ def _with_loops(description: Description, urdf: UrdfText) -> Description:
 
 
 def describe(chain: ArmChain, urdf_path: str) -> Description:
-    """Return the description that a plain URDF stands for.
+    """Return the description of a chain of joints in a plain URDF, which it calls `urdf_path`.
 
     The base is the link that the first moving joint stands on, not the root: if the base is unknown, a fixed joint
     between the two does not matter.
-
-    Args:
-        chain: Its arm, or the chain to the link that carries the measured point.
-        urdf_path: How the description names the URDF.
     """
     return Description(
         urdf=urdf_path,
@@ -222,14 +217,7 @@ def with_model(robot: Robot, model: str) -> Robot:
 
 
 def build(description: Description, urdf: UrdfText, where: str) -> Robot:
-    """Put a robot together at its nominal values.
-
-    Args:
-        urdf: The URDF that it names.
-
-    Raises:
-        DescriptionError: Description and URDF do not fit each other.
-    """
+    """Put a robot together at its nominal values; a description that does not fit its URDF is a `DescriptionError`."""
     instruments = instruments_of(description, where)
     places = places_of(description, instruments, where)
     nominal = build_mechanism(urdf, description, instruments, where)

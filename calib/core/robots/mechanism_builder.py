@@ -34,8 +34,8 @@ def build_mechanism(
     """Build the mechanism of a URDF and its description.
 
     Raises:
-        DescriptionError: A name that the URDF does not have, a joint of a type that is not supported on the way to what
-            is measured, or loops that do not determine the passive joints.
+        DescriptionError: An unknown name, an unsupported joint on the way to what is measured, or loops that do not
+            determine the passive joints.
         UrdfError: A joint mimics itself.
     """
     model, frames, tilts = _tree(urdf, tilted_joints(description))
@@ -100,8 +100,7 @@ def _axes(model: pin.Model) -> FloatArray:
 def home_values(urdf: UrdfText, description: Description, where: str) -> dict[str, float]:
     """Return the home configuration by joint name [m or rad]; joints that it does not name are absent.
 
-    Raises:
-        DescriptionError: An unknown joint, or a value that is not a length or angle as the joint needs it.
+    `DescriptionError` if a joint is unknown, or a value has the wrong dimension.
     """
     moving = _moving(urdf)
     values = {}

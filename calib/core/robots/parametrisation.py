@@ -36,13 +36,7 @@ def build_parametrisation(
 ) -> Parametrisation:
     """Build the parametrisation that a description names or lists, plus unknown places, with the priors of its names.
 
-    Args:
-        urdf: The URDF, whose numbers the nominal origins are.
-        mechanism: The nominal mechanism.
-        places: Places that instruments look from and at.
-
-    Raises:
-        DescriptionError: Unknown plugin, origin or unit, a component listed twice, or a prior of no parameter.
+    `DescriptionError` if a plugin, origin or unit is unknown, a component is listed twice, or a prior has no parameter.
     """
     plain = _without_names(description, urdf, mechanism, places, where)
     parameters = list(plain.parameters)

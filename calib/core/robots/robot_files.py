@@ -60,10 +60,7 @@ def held_by(robot: SomeRobot, holds: Holds) -> SomeRobot:
 
 
 def urdf_of_origins(robot: RobotData) -> bytes:
-    """Return the URDF with the origins that the current values give, whatever joint terms go with them.
-
-    Unchanged numbers keep their bytes.
-    """
+    """Return the URDF with the origins of the current values, whatever joint terms go with them; see `UrdfText`."""
     edits: dict[str, tuple[Triple, Triple]] = {}
     for joint in robot.urdf.joints:
         before, after = robot.nominal.placement(joint.name), robot.mechanism.placement(joint.name)

@@ -52,8 +52,7 @@ TEMPLATES = {
 def read_lengths(name: str, given: Iterable[str]) -> dict[str, float]:
     """Return a template's lengths [m], those of `given` (NAME=VALUE, with a unit) in place of the defaults.
 
-    Raises:
-        InputError: No such length, one given twice, or one that is not a positive length.
+    `InputError` if a length is unknown, given twice, or not positive.
     """
     lengths, seen = dict(TEMPLATES[name].lengths), set()
     for text in given:
@@ -71,14 +70,9 @@ def read_lengths(name: str, given: Iterable[str]) -> dict[str, float]:
 
 
 def loop_files(name: str, lengths: Lengths, urdf: str) -> tuple[str, str]:
-    """Return the text of a template's URDF and of its description.
+    """Return the text of a template's URDF, and of the description that calls it `urdf`, from every length [m].
 
-    Args:
-        lengths: Every length of it [m].
-        urdf: How the description names the URDF.
-
-    Raises:
-        InputError: Nothing can be assembled from these lengths.
+    `InputError` if nothing can be assembled from these lengths.
     """
     template = TEMPLATES[name]
     lengths_text = ", ".join(f"{key} {_mm(value)}" for key, value in lengths.items())

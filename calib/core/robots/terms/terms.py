@@ -74,8 +74,7 @@ def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | 
 def terms_text(terms: str | Sequence[str]) -> str:
     """Return a choice of terms as text: names or `JOINT=TERM` with commas between; text is returned unchanged.
 
-    Raises:
-        InputError: The choice is no text and no list of texts, or an empty list.
+    `InputError` if the choice is neither text nor a list of texts, or is empty.
     """
     if isinstance(terms, str):
         return terms
@@ -87,13 +86,9 @@ def terms_text(terms: str | Sequence[str]) -> str:
 
 
 def parse_terms(text: str) -> tuple[TermSection, ...]:
-    """Return the entries that a list such as `curve,backlash` or `curve,elbow=backlash` means.
+    """Return the entries of a list of terms, such as `curve,backlash` for every joint, or `curve,elbow=backlash`.
 
-    Args:
-        text: Names of terms, for every joint, or `JOINT=TERM`; commas between.
-
-    Raises:
-        InputError: No such term, or one that only a description can state.
+    `InputError` if there is no such term, or only a description can state it.
     """
     sections = []
     for item in text.split(","):
@@ -110,9 +105,5 @@ def parse_terms(text: str) -> tuple[TermSection, ...]:
 
 
 def stored_terms(entries: object) -> tuple[TermSection, ...]:
-    """Return the entries that a result stores.
-
-    Raises:
-        ValueError: What is stored is no list of terms.
-    """
+    """Return the entries that a result stores; `ValueError` if they are no list of terms."""
     return TypeAdapter(tuple[AnyTerm, ...]).validate_python(entries)

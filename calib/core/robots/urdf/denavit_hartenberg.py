@@ -119,7 +119,6 @@ def dh_table(links: Sequence[pin.SE3], joints: Sequence[DhRow], convention: Conv
         links: Transforms from the base frame to the first joint, from each joint to the next, and from the last joint
             to the last frame; one more than there are joints.
         joints: Name, kind and limits of each joint.
-        convention: `standard` or `modified`.
     """
     names = [joint.name for joint in joints]
     rows = [DhRow(_new_name("base", names), "fixed"), *joints]

@@ -79,11 +79,7 @@ def element_tree(source: bytes) -> Element:
 
 
 def read_links(urdf: UrdfText) -> dict[str, Link]:
-    """Read all links, in file order.
-
-    Raises:
-        UrdfError: A mass, size or origin is not made of numbers.
-    """
+    """Read all links, in file order; a mass, size or origin that is not made of numbers is a `UrdfError`."""
     root = element_tree(urdf.source)
     colours = {
         str(material.get("name")): colour

@@ -98,8 +98,7 @@ class Plan:
 def four_bar(length: Lengths) -> Plan:
     """A crank with a motor, a coupler, a rocker; home is in the middle of the crank's range.
 
-    Raises:
-        InputError: The lengths do not close.
+    `InputError` if the lengths do not close.
     """
     ground, crank, coupler, rocker = (length[name] for name in ("ground", "crank", "coupler", "rocker"))
     low, high = max(abs(coupler - rocker), abs(ground - crank)), min(coupler + rocker, ground + crank)
@@ -122,11 +121,7 @@ def four_bar(length: Lengths) -> Plan:
 
 
 def five_bar(length: Lengths) -> Plan:
-    """Two arms with a motor each that meet at the pen, elbows outwards.
-
-    Raises:
-        InputError: The lengths do not close.
-    """
+    """Two arms with a motor each that meet at the pen, elbows outwards; `InputError` if the lengths do not close."""
     half, proximal, distal = length["motor_distance"] / 2, length["proximal"], length["distal"]
     low, high = max(abs(proximal - distal), half), proximal + distal
     if low >= high:
@@ -161,8 +156,7 @@ def three_rrr(length: Lengths) -> Plan:
 def delta(length: Lengths) -> Plan:
     """Three arms with motors; home with all of them level, the platform below (z is up, positive angles go down).
 
-    Raises:
-        InputError: The lengths do not close.
+    `InputError` if the lengths do not close.
     """
     upper, rod, half = length["upper_arm"], length["rod"], length["rod_distance"] / 2
     out = length["base_radius"] + upper - length["platform_radius"]
@@ -192,10 +186,7 @@ def delta(length: Lengths) -> Plan:
 def stewart(length: Lengths) -> Plan:
     """A 6-UPS hexapod: joints in pairs, at 0, 120 and 240 degrees below, at 60, 180 and 300 above.
 
-    The value of a motor is the length of its leg.
-
-    Raises:
-        InputError: A pair is wider than its circle.
+    The value of a motor is the length of its leg. `InputError` if a pair is wider than its circle.
     """
     for level in ("base", "platform"):
         if length[f"{level}_pair"] >= length[f"{level}_radius"]:

@@ -40,8 +40,7 @@ _MODEL = "__model__"
 def read_sdf(source: bytes, path: str) -> MjcfRobot:
     """Read the first model of an SDF file from its bytes.
 
-    Raises:
-        UrdfError: The file is not valid, or URDF has no equivalent for its content.
+    `UrdfError` if the file is not valid, or URDF has no equivalent for its content.
     """
     try:
         root = ElementTree.fromstring(source)

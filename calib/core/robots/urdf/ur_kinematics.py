@@ -109,8 +109,7 @@ def is_ur_kinematics(content: object) -> bool:
 def read_origins(path: Path | str) -> FloatArray:
     """Read the six origins, x y z [m] roll pitch yaw [rad], (6, 6).
 
-    Raises:
-        UrdfError: A number is missing, or the robot is of a known type only with the other sign of a number.
+    `UrdfError` if a number is missing, or the robot is of a known type only with the other sign of a number.
     """
     content = read_yaml(path)
     if not is_ur_kinematics(content):

@@ -94,12 +94,7 @@ def _main(path: str, *given: str) -> int:
 
 
 def _process(xacro: Any, path: str, values: dict[str, str]) -> Any:
-    """The expanded document.
-
-    Raises:
-        _OutsideError: Arguments without a value; it names all of them.
-        Exception: Any other error of xacro.
-    """
+    """The expanded document; `_OutsideError` names all arguments without a value."""
     lacking: dict[str, str] = {}
     while True:
         try:

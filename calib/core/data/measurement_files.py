@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from calib.core.data.measurements import Measurements, Poses, check_repeats, mea
 from calib.core.data.robot_tables import read_robot_table
 from calib.core.data.table_poses import poses_of_table
 from calib.core.data.table_writing import format_table
-from calib.core.data.tables import Source, Table, is_columns
+from calib.core.data.tables import Source, Table, is_source
 from calib.core.instruments.kind import Instrument, Readings
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
@@ -112,16 +111,14 @@ def read_measurements(
     return data.read_visits() if data.n_readings else data.subset(np.arange(0))
 
 
-def sources(given: Source | Sequence[Source]) -> list[Source]:
+def sources(given: object) -> list[Source]:
     """Return the given tables, one or several; anything else is an `InputError`."""
-    if isinstance(given, (str, Path)) or is_columns(given):
-        return [given]
-    several = list(cast(Sequence[Source], given))
+    several = list(given) if isinstance(given, (list, tuple)) and given else [given]
     for source in several:
-        if not isinstance(source, (str, Path)) and not is_columns(source):
+        if not is_source(source):
             raise InputError(
-                f"measurements: expected a file, a data frame, or several of them, not {type(source).__name__}; arrays"
-                " become measurements with calib.as_measurements(robot, q, xyz)"
+                "measurements: expected a file, a data frame, Measurements, or several of them, not"
+                f" {type(source).__name__}; arrays become measurements with calib.as_measurements(robot, q, xyz)"
             )
     return several
 

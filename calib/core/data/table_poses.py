@@ -10,6 +10,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
 from calib.core.base.tolerances import stated_tolerance
+from calib.core.base.units import DISPLAY_UNIT, quantity_text
 from calib.core.data.instrument_cells import labels_of_rows, lacking_column, names_of_poses, setups_of
 from calib.core.data.measurement_columns import APPROACH
 from calib.core.data.measurements import Poses, states_by_order
@@ -64,10 +65,11 @@ def _check_gravity(poses: Poses, robot: Robot, table: Table) -> None:
     angles = contradiction_angles(robot.description, robot.nominal, poses.joints, poses.conditions)
     if not np.all(np.isnan(angles)):
         k = int(np.nanargmax(angles))
+        off = quantity_text(angles[k], "angle", ".0f", DISPLAY_UNIT)
         raise DataError(
-            f"{table.path}, line {table.lines[k]}: the direction of gravity that was read is"
-            f" {np.degrees(angles[k]):.0f} deg from the one that {robot.path} states; check gravity.down, gravity.frame"
-            " and the signs (an accelerometer at rest reads upwards), or leave gravity.down out"
+            f"{table.path}, line {table.lines[k]}: the direction of gravity that was read is {off} from the one that"
+            f" {robot.path} states; check gravity.down, gravity.frame and the signs (an accelerometer at rest reads"
+            " upwards), or leave gravity.down out"
         )
 
 
@@ -149,11 +151,11 @@ def _check_tilts(robot: Robot, sensor: str, tilts: FloatArray, table: Table) -> 
     beyond = (tilts < lower) | (tilts > upper)
     if np.any(beyond):
         k, j = np.argwhere(beyond)[0]
+        read, low, high = (quantity_text(x, "angle", ".2f", DISPLAY_UNIT) for x in (tilts[k, j], lower[j], upper[j]))
         raise DataError(
-            f"{table.path}, line {table.lines[k]}: what '{sensor}' reads turns {section.joints[j]} by"
-            f" {np.degrees(tilts[k, j]):.2f} deg, and its limits in the URDF are {np.degrees(lower[j]):.2f} and"
-            f" {np.degrees(upper[j]):.2f} deg; check signs (an accelerometer at rest reads upwards), the axes of"
-            f" {section.frame}, units (rad without [deg]), and these limits"
+            f"{table.path}, line {table.lines[k]}: what '{sensor}' reads turns {section.joints[j]} by {read}, and its"
+            f" limits in the URDF are {low} and {high}; check signs (an accelerometer at rest reads upwards), the axes"
+            f" of {section.frame}, units (rad without [deg]), and these limits"
         )
 
 

@@ -71,6 +71,11 @@ def is_columns(source: object) -> TypeGuard[Columns]:
     return all(hasattr(type(source), name) for name in ("columns", "head", "__getitem__"))
 
 
+def is_source(source: object) -> TypeGuard[Source]:
+    """Return whether this is a file or a table in memory."""
+    return isinstance(source, (str, Path)) or is_columns(source)
+
+
 @dataclass(frozen=True)
 class Table:
     """A CSV file as text.

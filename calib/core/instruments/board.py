@@ -24,6 +24,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.sections import PositiveLength, Section, read_yaml
+from calib.core.base.units import quantity_text
 
 BoardKind = Literal["charuco", "chessboard", "circles", "dots", "aruco", "apriltag"]
 BOARD_KINDS: tuple[BoardKind, ...] = ("charuco", "chessboard", "circles", "dots", "aruco", "apriltag")
@@ -149,7 +150,7 @@ class Board(Section):
     def __str__(self) -> str:
         shapes = {"circles": "dots", "dots": "dots", "aruco": "markers", "apriltag": "tags"}.get(self.kind, "squares")
         numbers = [
-            f"{key} {1e3 * value:g} mm"
+            f"{key} {quantity_text(value, 'length', 'g')}"
             for key in ("square", "marker", "gap", "spacing")
             if (value := getattr(self, key)) is not None
         ]

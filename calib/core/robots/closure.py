@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.units import millimetres
+from calib.core.base.units import DISPLAY_UNIT, quantity_text
 from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.robots import kinematics
@@ -136,10 +136,10 @@ def loop_openings(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray,
     return norms[0], norms[1]
 
 
-def gap_text(length: float, angle: float) -> str:
-    """Say a gap in mm, and in degrees where a loop's directions do not agree."""
-    turned = f" and {np.degrees(angle):.3g} deg" if angle > 0 else ""
-    return f"{millimetres(length):.3f} mm{turned}"
+def gap_text(length: float, angle: float, form: str = "") -> str:
+    """Say a gap in mm, and in degrees where a loop's directions do not agree, in a form if it is given."""
+    turned = f" and {quantity_text(angle, 'angle', form or '.3g', DISPLAY_UNIT)}" if angle > 0 else ""
+    return quantity_text(length, "length", form or ".3f") + turned
 
 
 @dataclass(frozen=True, eq=False)

@@ -186,15 +186,11 @@ class Description(Section):
 
     @model_validator(mode="after")
     def _loops_agree(self) -> Description:
-        if len(self.type) != len(self.closed_loop):
-            raise ValueError(
-                f"'type' has {len(self.type)} entries for {len(self.closed_loop)} entries of 'closed_loop'"
-            )
-        if self.closed_loop_axes is not None and len(self.closed_loop_axes) != len(self.closed_loop):
-            raise ValueError(
-                f"'closed_loop_axes' has {len(self.closed_loop_axes)} entries for"
-                f" {len(self.closed_loop)} entries of 'closed_loop'"
-            )
+        n = len(self.closed_loop)
+        for key in ("type", "closed_loop_axes"):
+            entries = getattr(self, key)
+            if entries is not None and len(entries) != n:
+                raise ValueError(f"'{key}' has {len(entries)} entries for {n} entries of 'closed_loop'")
         return self
 
     @property

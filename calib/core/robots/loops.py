@@ -23,7 +23,7 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, hold
 from calib.core.base.errors import DescriptionError
-from calib.core.base.units import Dimension, display_unit, millimetres
+from calib.core.base.units import Dimension, display_unit
 from calib.core.base.words import joints_named
 from calib.core.numerics import linalg
 from calib.core.robots.closure import (
@@ -232,10 +232,10 @@ def _check_closed(mechanism: Mechanism, values: FloatArray, where: str) -> None:
     excess = np.maximum(lengths / limit, angles / _OPEN_HOME)
     loop = int(np.argmax(excess))
     if excess[loop] > 1:
-        turned = f" and {np.degrees(_OPEN_HOME):.0f} deg" if angles[loop] > 0 else ""
+        nearer = gap_text(limit, _OPEN_HOME if angles[loop] > 0 else 0.0, ".0f")
         raise DescriptionError(
             f"{where}: home: loop {mechanism.loops[loop].name} is open by {gap_text(lengths[loop], angles[loop])};"
-            f" give joint values at which the robot is assembled (to {millimetres(limit):.0f} mm{turned} or better)"
+            f" give joint values at which the robot is assembled (to {nearer} or better)"
         )
 
 

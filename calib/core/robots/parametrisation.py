@@ -15,7 +15,7 @@ from calib.core.base.errors import DescriptionError, InputError, ParameterError,
 from calib.core.base.parameter import Parameter, index_of
 from calib.core.base.registry import list_entry_points, load_entry, load_named
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS
-from calib.core.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
+from calib.core.base.units import DISPLAY_UNIT, per_si, quantity, quantity_text
 from calib.core.instruments.kind import Place
 from calib.core.robots.described_instruments import places_of
 from calib.core.robots.description import Description, OriginSection
@@ -134,12 +134,9 @@ def result_use(description: Description) -> ResultUse | None:
 
 def default_sections() -> tuple[OriginSection, ...]:
     """Return the entries for a plain URDF: every component of every origin that moves a target, with default priors."""
-    return (
-        OriginSection(origin="all", components=LENGTH_COMPONENTS, sigma=f"{millimetres(DEFAULT_LENGTH_SIGMA):g} mm"),
-        OriginSection(
-            origin="all", components=ANGLE_COMPONENTS, sigma=f"{DEFAULT_ANGLE_SIGMA * error_scale('angle'):g} mrad"
-        ),
-    )
+    length, angle = quantity_text(DEFAULT_LENGTH_SIGMA, "length", "g"), quantity_text(DEFAULT_ANGLE_SIGMA, "angle", "g")
+    entries = ((LENGTH_COMPONENTS, length), (ANGLE_COMPONENTS, angle))
+    return tuple(OriginSection(origin="all", components=components, sigma=sigma) for components, sigma in entries)
 
 
 def _unknown_components(place: Place, origin: str) -> list[tuple[OriginSection, bool, bool]]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 
 from calib.core.base.errors import InputError, require_known
-from calib.core.base.units import millimetres, quantity
+from calib.core.base.units import quantity, quantity_text
 from calib.core.robots.urdf.loop_mechanisms import BASE, Lengths, Plan, delta, five_bar, four_bar, stewart, three_rrr
 from calib.core.robots.urdf.writing import robot_text
 
@@ -47,6 +48,7 @@ TEMPLATES = {
     ),
 }
 """Templates by their names on the command line."""
+_mm = partial(quantity_text, dimension="length", form=".9g")
 
 
 def read_lengths(name: str, given: Iterable[str]) -> dict[str, float]:
@@ -130,7 +132,3 @@ def _grouped_by_unit(components: str) -> list[str]:
     names = components.split(", ")
     parts = ([name for name in names if len(name) == 1], [name for name in names if len(name) > 1])
     return [", ".join(part) for part in parts if part]
-
-
-def _mm(value: float) -> str:
-    return f"{millimetres(value):.9g} mm"

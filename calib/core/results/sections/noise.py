@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.base.units import error_unit, millimetres
+from calib.core.base.units import error_unit, quantity_text
 from calib.core.base.words import count_noun
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.repeatability import doubtful_repeats, repeat_table, repeatability
@@ -109,7 +109,7 @@ def repeat_lines(fit: Fit) -> list[str]:
     lines = []
     scatter, _ = repeatability(fit.identification)
     if np.isfinite(scatter):
-        lines.append(f"Scatter of the repeats: {millimetres(scatter):.4g} mm per axis")
+        lines.append(f"Scatter of the repeats: {quantity_text(scatter, 'length', '.4g')} per axis")
     for name, errors in (("used", fit.identification), ("not used", fit.validation)):
         table = None if errors is None else repeat_table(errors)
         if errors is not None and table is not None:

@@ -22,7 +22,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.robots.urdf.text import Triple
 from calib.core.robots.urdf.writing import joint_text
 
@@ -224,7 +224,7 @@ def _two_links(to: FloatArray, first: float, second: float, side: int) -> tuple[
     """Angle of the first link and bend to the second that reach `to` (2,) [m], elbow to the left for side 1."""
     far = math.hypot(*to)
     if not abs(first - second) < far < first + second:
-        shown = [f"{millimetres(length):.9g} mm" for length in (first, second, far)]
+        shown = [quantity_text(length, "length", ".9g") for length in (first, second, far)]
         raise InputError(f"links of {shown[0]} and {shown[1]} cannot span {shown[2]}")
     start = math.atan2(to[1], to[0]) + side * math.acos((first**2 + far**2 - second**2) / (2 * first * far))
     bend = -side * (math.pi - math.acos((first**2 + second**2 - far**2) / (2 * first * second)))

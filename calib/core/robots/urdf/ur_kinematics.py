@@ -25,7 +25,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError
 from calib.core.base.sections import read_yaml
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.numerics.halton import halton
 from calib.core.numerics.rigid import best_transform
 from calib.core.robots.urdf.writing import joint_text, robot_text
@@ -139,9 +139,10 @@ def _require_sound(origins: FloatArray, path: Path | str) -> None:
         tried.append((*nearest_type(turned)[::-1], f"kinematics.{LINKS[k]}.{KEYS[j]}"))
     left, model, where = min(tried)
     if left < _FAR:
+        as_it_is, turned = (quantity_text(x, "length", form) for x, form in ((away, ".0f"), (left, ".1f")))
         raise UrdfError(
-            f"{path}: is {millimetres(away):.0f} mm RMS from every known type; with the other sign of {where} it would"
-            f" be a {model}, {millimetres(left):.1f} mm from nominal: a sign is lost; extract the calibration again"
+            f"{path}: is {as_it_is} RMS from every known type; with the other sign of {where} it would be a {model},"
+            f" {turned} from nominal: a sign is lost; extract the calibration again"
         )
 
 

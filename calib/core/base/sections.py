@@ -237,12 +237,8 @@ class _Loader(yaml.SafeLoader):
         document = super().compose_document()
         sizes: dict[int, int] = {}
         if document is not None and _size(document, sizes) - len(sizes) > _MOST_BY_ALIASES:
-            raise yaml.composer.ComposerError(
-                None,
-                None,
-                f"its YAML aliases (*NAME) expand to more than {_MOST_BY_ALIASES} entries",
-                document.start_mark,
-            )
+            problem = f"its YAML aliases (*NAME) expand to more than {_MOST_BY_ALIASES} entries"
+            raise yaml.composer.ComposerError(None, None, problem, document.start_mark)
         return document
 
 

@@ -30,15 +30,9 @@ PER_SI: dict[Dimension, dict[str, float]] = {
     "number": {"1": 1.0},
 }
 _SIGNS = {"°": "deg", "°C": "degC", "\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um"}
-DISPLAY_UNIT: dict[Dimension, str] = {
+DISPLAY_UNIT: dict[Dimension, str] = {dimension: next(iter(units)) for dimension, units in PER_SI.items()} | {
     "length": "mm",
     "angle": "deg",
-    "pixel": "px",
-    "time": "s",
-    "temperature": "degC",
-    "mass": "kg",
-    "acceleration": "m/s^2",
-    "number": "1",
 }
 """Units of values in files and tables."""
 ERROR_UNIT: dict[Dimension, str] = DISPLAY_UNIT | {"angle": "mrad"}

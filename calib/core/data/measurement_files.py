@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -113,7 +114,7 @@ def read_measurements(
 
 def sources(given: object) -> list[Source]:
     """Return the given tables, one or several; anything else is an `InputError`."""
-    several = list(given) if isinstance(given, (list, tuple)) and given else [given]
+    several: list[Any] = list(given) if isinstance(given, (list, tuple)) and given else [given]
     for source in several:
         if not is_source(source):
             raise InputError(

@@ -44,17 +44,9 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     used = used | sensed | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | directions
     ignored = tuple(name for name in table.names if name not in used)
     poses = Poses(
-        joints,
-        tuple(labels_of_rows(table, called)),
-        names,
-        table.path,
-        ignored,
-        comments=table.comments,
-        context=context,
-        approach=approach,
-        setups=setups,
-        robot=robot,
-    )
+        joints, tuple(labels_of_rows(table, called)), names, table.path, ignored,
+        comments=table.comments, context=context, approach=approach, setups=setups, robot=robot,
+    )  # fmt: skip
     _check_gravity(poses, robot, table)
     stated_tolerance(table.comments, table.path)
     return poses

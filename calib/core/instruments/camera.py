@@ -164,11 +164,8 @@ def view_poses(points: FloatArray, seen: FloatArray, view: IntArray, n_views: in
     counts = np.bincount(view, minlength=n_views)
     order = np.argsort(view, kind="stable")
     width = int(counts.max(initial=1))
-    body, rays_, present = (
-        np.zeros((n_views, width, 3)),
-        np.zeros((n_views, width, 2)),
-        np.zeros((n_views, width), bool),
-    )
+    body, rays_ = (np.zeros((n_views, width, k)) for k in (3, 2))
+    present = np.zeros((n_views, width), dtype=bool)
     place = np.arange(len(view)) - np.repeat(np.cumsum(counts) - counts, counts)
     body[view[order], place], rays_[view[order], place] = points[order], seen[order]
     present[view[order], place] = True

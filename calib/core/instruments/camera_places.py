@@ -170,16 +170,11 @@ def refine_places(
         both = np.concatenate([by_camera, by_body], axis=2)[:, :, free]
         return (by_point @ both).reshape(2 * n, -1)
 
-    found_x = scipy.optimize.least_squares(
-        errors,
-        np.zeros(int(free.sum())),
-        jac=jacobian,
-        loss="soft_l1",
-        f_scale=10 * scale,
-        max_nfev=steps,
-        x_scale="jac",
-    )
-    return places_at(found_x.x)
+    start, spread = np.zeros(int(free.sum())), 10 * scale
+    x = scipy.optimize.least_squares(
+        errors, start, jac=jacobian, loss="soft_l1", f_scale=spread, max_nfev=steps, x_scale="jac"
+    ).x
+    return places_at(x)
 
 
 def _step_pose(pose: FloatArray, step: FloatArray) -> FloatArray:

@@ -193,13 +193,8 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
     start, end = (problem.evaluate(seen.with_parameters(entry[state])) for state in ("placed", "values"))
     begin = reset_unseen(problem, start)
     weighing = {"weights": robust["weights"], "factors": Factors(**robust["factors"])} if robust else {}
-    minimum = Minimum(
-        nominal,
-        (),
-        start,
-        require_identifiable(problem, begin),
-        RobustSolution(problem, end, groups, _ENDED, **weighing),
-    )
+    end_point = RobustSolution(problem, end, groups, _ENDED, **weighing)
+    minimum = Minimum(nominal, (), start, require_identifiable(problem, begin), end_point)
     validation = None if entry["validation"] is None else _measurements_of(entry["validation"], nominal)
     fit = fit_at(minimum, settings, validation)
     requested, folds = entry["choice"], entry["folds"]

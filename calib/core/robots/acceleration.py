@@ -11,10 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
+from calib.core.base.words import warn_once
 from calib.core.robots.mechanism import Mechanism
 
 _MANY = 5000  # number of poses, with loops, for which loading numba pays: each pose of a fit saves 0.1 ms
@@ -68,7 +70,15 @@ def kernels(mechanism: Mechanism, n_poses: int) -> Any:
     use = pays(n_poses, many(mechanism)) if requested is None else requested
     if not (use and _AVAILABLE) or any(loop.full_pose for loop in mechanism.loops):
         return None
+    _tell_compiling()
     return _functions()
+
+
+@cache
+def _tell_compiling() -> None:
+    """Say once that functions will be compiled, because no stored code was found."""
+    if not _functions().is_compiled():
+        warn_once("numba compiles the kinematics; this takes about 5 s, once for each version")
 
 
 def _functions() -> Any:

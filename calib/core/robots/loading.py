@@ -100,14 +100,9 @@ def _with_loops(description: Description, urdf: UrdfText) -> Description:
     mjcf = urdf.mjcf
     if mjcf is None or not mjcf.loops or "closed_loop" in description.model_fields_set:
         return description
-    return description.model_copy(
-        update={
-            "closed_loop": tuple(loop.links for loop in mjcf.loops),
-            "type": tuple(loop.kind for loop in mjcf.loops),
-            "closed_loop_axes": tuple(loop.axes for loop in mjcf.loops),
-            "home": mjcf.home | description.home,
-        }
-    )
+    links, kinds, axes = zip(*((loop.links, loop.kind, loop.axes) for loop in mjcf.loops), strict=True)
+    ends = {"closed_loop": links, "type": kinds, "closed_loop_axes": axes}
+    return description.model_copy(update=ends | {"home": mjcf.home | description.home})
 
 
 def describe(chain: ArmChain, urdf_path: str) -> Description:
@@ -248,13 +243,8 @@ def _check_columns(
     dimensions |= condition_columns()
     for sensor in description.inclinometers:
         dimensions |= columns_of(sensor)
-    texts = {
-        name
-        for instrument in instruments
-        for name in (*instrument.text_columns(), instrument.label_column)
-        if name is not None
-    }
-    texts |= {"pose", "setup"}
+    labels = {instrument.label_column for instrument in instruments if instrument.label_column is not None}
+    texts = {"pose", "setup", *labels, *(name for instrument in instruments for name in instrument.text_columns())}
     taken: dict[str, str] = {}
     for foreign, column in description.columns.items():
         mapped = mapped_column(column)
@@ -282,13 +272,10 @@ def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], whe
         if not isinstance(instrument, JointInstrument):
             continue
         place = f"{where}: instruments.{instrument.name}.joint"
-        moving = [
-            name
-            for k, name in enumerate(mechanism.origin_names)
-            if np.any(mechanism.select_actuated[k]) or np.any(mechanism.select_passive[k])
-        ]
+        moves = np.any(mechanism.select_moving, axis=1)
+        moving = [name for name, is_moved in zip(mechanism.origin_names, moves, strict=True) if is_moved]
         require_known(instrument.joint, moving, f"{place}: no moving joint", DescriptionError)
         dimension_read, dimension = instrument.parts[0].dimension, mechanism.dimensions[instrument.joint]
         if dimension_read != dimension:
-            moves = "slides" if dimension == "length" else "turns"
-            raise DescriptionError(f"{place}: joint '{instrument.joint}' {moves}; set dimension: {dimension}")
+            how = "slides" if dimension == "length" else "turns"
+            raise DescriptionError(f"{place}: joint '{instrument.joint}' {how}; set dimension: {dimension}")

@@ -272,9 +272,8 @@ class Mechanism(ReadOnlyArrays):
     @cached_property
     def loop_signs(self) -> FloatArray:
         """`direction_signs` of the loop of each closure row, (n_rows, n_joints)."""
-        return np.array([self.direction_signs(loop) for loop in self.loops for _ in loop.rows]).reshape(
-            -1, self.n_joints
-        )
+        signs = [self.direction_signs(loop) for loop in self.loops for _ in loop.rows]
+        return np.array(signs).reshape(-1, self.n_joints)
 
     @cached_property
     def loop_rows(self) -> IntArray:

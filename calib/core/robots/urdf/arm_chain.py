@@ -63,16 +63,8 @@ class ArmChain:
         left = f"left out: {'; '.join(parts)}" if parts else ""
         if not self.others:
             return left
-        return "; ".join(
-            filter(
-                None,
-                [
-                    f"the arm is taken to end at {self.target}",
-                    left,
-                    f"another end, such as {listing(self.others)}: calib init --target NAME",
-                ],
-            )
-        )
+        end = f"another end, such as {listing(self.others)}: calib init --target NAME"
+        return "; ".join(filter(None, (f"the arm is taken to end at {self.target}", left, end)))
 
 
 def arm_chain(urdf: UrdfText, target: str | None = None) -> ArmChain:
@@ -178,14 +170,8 @@ class _Tree:
         """Last joints without further links that belong to a gripper by their names."""
         parents = {joint.parent for joint in self.urdf.joints}
         chains = [_moving(self.way[link]) for link in self.urdf.links if link not in parents]
-        return {
-            chain[-1].name
-            for chain in chains
-            if len(chain) > 1
-            and chain[-1].child not in parents
-            and _is_gripper(chain[-1])
-            and not _is_gripper(chain[-2])
-        }
+        ends = [chain[-2:] for chain in chains if len(chain) > 1 and chain[-1].child not in parents]
+        return {last.name for before, last in ends if _is_gripper(last) and not _is_gripper(before)}
 
     def _end(self, body: str) -> str:
         """The last link in the file at an end of a body, without stiff fingers; beyond the palm if the body has one."""

@@ -56,14 +56,14 @@ class UrdfJoint:
     type: str
     parent: str
     child: str
-    xyz: Triple
-    rpy: Triple
-    axis: Triple
-    lower: float
-    upper: float
-    mimic: tuple[str, float, float] | None
-    tag_span: Span | None
-    origin_span: Span | None
+    xyz: Triple = (0.0, 0.0, 0.0)
+    rpy: Triple = (0.0, 0.0, 0.0)
+    axis: Triple = (1.0, 0.0, 0.0)
+    lower: float = -math.inf
+    upper: float = math.inf
+    mimic: tuple[str, float, float] | None = None
+    tag_span: Span | None = None
+    origin_span: Span | None = None
     unstated: bool = False
 
     @property
@@ -132,11 +132,13 @@ class UrdfReader:
         match = _TAG.match(self.source, self._parser.CurrentByteIndex)
         return match.span() if match else None
 
+    def _error(self, text: str) -> UrdfError:
+        return UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {text}")
+
     def _entity(self, name: str, _parameter: bool, value: str | None, *_where: str | None) -> None:
         if value is None:
-            raise UrdfError(
-                f"{self.path}, line {self._parser.CurrentLineNumber}: entity '{name}' stands for another file, which is"
-                " not read; put its content here (xmllint --noent)"
+            raise self._error(
+                f"entity '{name}' stands for another file, which is not read; put its content here (xmllint --noent)"
             )
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
@@ -168,29 +170,15 @@ class UrdfReader:
                 except ValueError:
                     continue  # a xacro leftover, for instance, which stays in the file
                 if not finite or not math.isfinite(float(part)):
-                    line = self._parser.CurrentLineNumber
-                    raise UrdfError(
-                        f"{self.path}, line {line}: <{tag}> of link '{self.links[-1]}' has {key}=\"{text}\";"
-                        " every number must be finite, and none beyond 1e9 m: correct it"
-                    )
+                    wrong = f"<{tag}> of link '{self.links[-1]}' has {key}=\"{text}\""
+                    raise self._error(f"{wrong}; every number must be finite, and none beyond 1e9 m: correct it")
 
     def _start_joint(self, attributes: dict[str, str]) -> None:
         name = self._require(attributes, "name", "<joint>")
         kind = self._require(attributes, "type", f"joint '{name}'")
         require_known(kind, MOVING_TYPES + HELD_TYPES, f"{self.path}, joint '{name}': unknown type", UrdfError)
         self._seen = {}
-        self._joint = {
-            "name": name,
-            "type": kind,
-            "tag_span": self._span(),
-            "origin_span": None,
-            "xyz": (0.0, 0.0, 0.0),
-            "rpy": (0.0, 0.0, 0.0),
-            "axis": (1.0, 0.0, 0.0),
-            "lower": -math.inf,
-            "upper": math.inf,
-            "mimic": None,
-        }
+        self._joint = {"name": name, "type": kind, "tag_span": self._span()}
 
     def _joint_child(self, tag: str, attributes: dict[str, str]) -> None:
         joint = self._joint
@@ -198,7 +186,7 @@ class UrdfReader:
         if tag not in ("parent", "child", "origin", "axis", "limit", "mimic"):
             return
         if tag in self._seen and (tag == "origin" or self._seen[tag] != attributes):
-            raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {where} has two <{tag}>; keep one")
+            raise self._error(f"{where} has two <{tag}>; keep one")
         self._seen[tag] = attributes
         if tag in ("parent", "child"):
             joint[tag] = self._require(attributes, "link", f"<{tag}> of {where}")
@@ -251,9 +239,9 @@ class UrdfReader:
 
     def _require(self, attributes: dict[str, str], key: str, where: str) -> str:
         if not attributes.get(key):
-            raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {where} has no '{key}'")
+            raise self._error(f"{where} has no '{key}'")
         if key == "name" and (problem := unseen(attributes[key])):  # other texts must be known ones
-            raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {problem}")
+            raise self._error(problem)
         return attributes[key]
 
     def _number(self, text: str, where: str) -> float:

@@ -133,10 +133,8 @@ def _visits_by_pose(table: Table, poses: Poses) -> IntArray:
         )
     first = dict(zip(poses.names[::-1], range(len(poses) - 1, -1, -1), strict=True))
     rows = []
-    for line, name in zip(table.lines, table.text("pose"), strict=True):
-        require_known(
-            name, first, f"{table.path}, line {line}, column 'pose': no file with joint values has a pose", DataError
-        )
+    for k, name in enumerate(table.text("pose")):
+        require_known(name, first, f"{table.where(k, 'pose')}: no file with joint values has a pose", DataError)
         rows.append(first[name])
     return np.array(rows, dtype=np.intp)
 

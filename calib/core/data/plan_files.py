@@ -106,7 +106,7 @@ def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:
     for k, cell in enumerate(_instrument_cells(robot, table)):
         named = [name.strip() for name in cell.split(TOGETHER)] if cell else names
         for name in named:
-            lacks = f"{table.path}, line {table.lines[k]}, column '{INSTRUMENT}': no instrument"
+            lacks = f"{table.where(k, INSTRUMENT)}: no instrument"
             require_known(name, names, lacks, DataError)
         for name in names:
             result[name][k] = name in named
@@ -131,7 +131,7 @@ def _looks(
         visits, pairs, details = np.repeat(rows, n_looks), np.tile(pairs, len(rows)), np.tile(details, (len(rows), 1))
     elif set(instrument.text_columns()) <= set(table.names):
         texts = {name: [table.text(name)[k] for k in rows] for name in instrument.text_columns()}
-        belongs, pairs, details = instrument.parse_texts(texts, [f"{table.path}, line {table.lines[k]}" for k in rows])
+        belongs, pairs, details = instrument.parse_texts(texts, [table.where(k) for k in rows])
         mine = np.array(belongs, dtype=bool)
         _require_planned_readings(robot, instrument, table, rows[~mine])
         visits, pairs, details = rows[mine], pairs[mine], details[mine]
@@ -147,6 +147,6 @@ def _require_planned_readings(robot: Robot, instrument: Instrument, table: Table
     bad = next((int(k) for k in without_target if cells and cells[k]), None)
     if bad is not None:
         raise DataError(
-            f"{table.path}, line {table.lines[bad]}, column '{instrument.text_columns()[0]}': is empty, but"
+            f"{table.where(bad, instrument.text_columns()[0])}: is empty, but"
             f" '{instrument.name}' is to touch something there; say what"
         )

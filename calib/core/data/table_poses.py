@@ -36,8 +36,8 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     joints.flags.writeable = False  # so its holders need no copy
     called = names_of_poses(table)
     if called is not None and "" in called:
-        line = table.lines[called.index("")]
-        raise DataError(f"{table.path}, line {line}, column 'pose': is empty; name the pose, or leave the column out")
+        where = table.where(called.index(""), "pose")
+        raise DataError(f"{where}: is empty; name the pose, or leave the column out")
     names = tuple(map(str, range(first + 1, first + 1 + len(table.rows)))) if called is None else called
     context, approach = conditions_of_table(table, robot, joints)
     directions = {f"{APPROACH}{name}" for name in robot.joint_names}
@@ -59,7 +59,7 @@ def _check_gravity(poses: Poses, robot: Robot, table: Table) -> None:
         k = int(np.nanargmax(angles))
         off = quantity_text(angles[k], "angle", ".0f", DISPLAY_UNIT)
         raise DataError(
-            f"{table.path}, line {table.lines[k]}: the direction of gravity that was read is {off} from the one that"
+            f"{table.where(k)}: the direction of gravity that was read is {off} from the one that"
             f" {robot.path} states; check gravity.down, gravity.frame and the signs (an accelerometer at rest reads"
             " upwards), or leave gravity.down out"
         )
@@ -136,7 +136,7 @@ def _check_tilts(robot: Robot, sensor: str, tilts: FloatArray, table: Table) -> 
     lost = np.flatnonzero(np.isnan(tilts).any(axis=1))
     if len(lost):
         raise DataError(
-            f"{table.path}, line {table.lines[lost[0]]}: {' and '.join(section.joints)} have no values at"
+            f"{table.where(lost[0])}: {' and '.join(section.joints)} have no values at"
             f" which '{sensor}' reads this direction of gravity; check the axes of {section.frame}, and its signs"
         )
     lower, upper = robot.urdf.limits(section.joints)
@@ -145,7 +145,7 @@ def _check_tilts(robot: Robot, sensor: str, tilts: FloatArray, table: Table) -> 
         k, j = np.argwhere(beyond)[0]
         read, low, high = (quantity_text(x, "angle", ".2f", DISPLAY_UNIT) for x in (tilts[k, j], lower[j], upper[j]))
         raise DataError(
-            f"{table.path}, line {table.lines[k]}: what '{sensor}' reads turns {section.joints[j]} by {read}, and its"
+            f"{table.where(k)}: what '{sensor}' reads turns {section.joints[j]} by {read}, and its"
             f" limits in the URDF are {low} and {high}; check signs (an accelerometer at rest reads upwards), the axes"
             f" of {section.frame}, units (rad without [deg]), and these limits"
         )

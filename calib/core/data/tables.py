@@ -14,7 +14,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TypeGuard, cast
+from typing import Any, Protocol, SupportsIndex, TypeGuard, cast
 
 import numpy as np
 
@@ -183,8 +183,12 @@ class Table:
                 f" {self.lines[point]}; write all decimals of a column one way"
             )
 
+    def where(self, row: SupportsIndex, name: str = "") -> str:
+        """Return the place of a row, or of its cell in a column, for messages."""
+        return f"{self.path}, line {self.lines[row]}" + (f", column '{self.header(name)}'" if name else "")
+
     def _where(self, row: int, index: int) -> str:
-        return f"{self.path}, line {self.lines[row]}, column '{self.header(self.names[index])}'"
+        return self.where(row, self.names[index])
 
 
 def read_number(cell: str, where: str, separator: str = ",") -> float:

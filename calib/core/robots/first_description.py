@@ -11,7 +11,8 @@ import yaml
 from calib.core.base.sections import COMPONENTS
 from calib.core.robots.description import Description
 from calib.core.robots.parametrisation import default_sections
-from calib.core.robots.urdf.text import HELD_TYPES, UrdfText
+from calib.core.robots.urdf.reader import HELD_TYPES
+from calib.core.robots.urdf.text import UrdfText
 
 _TEXT = """\
 # Robot description of {robot}. Lengths and angles are m and rad, or carry a unit: 0.04 mm, 1.5 deg.

@@ -18,7 +18,8 @@ from calib.core.robots.mechanism_builder import build_mechanism, tilted_joints
 from calib.core.robots.robot_data import RobotData, SomeRobot
 from calib.core.robots.terms.term import Context, Joint, JointTerm, TermSection
 from calib.core.robots.terms.terms import TERMS
-from calib.core.robots.urdf.text import UrdfJoint, UrdfText
+from calib.core.robots.urdf.reader import UrdfJoint
+from calib.core.robots.urdf.text import UrdfText
 
 _COMMAND_ROUNDS = 50
 _COMMANDED = 1e-10  # largest distance of a joint from its goal at the end [m or rad]

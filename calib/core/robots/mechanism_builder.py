@@ -20,7 +20,8 @@ from calib.core.robots.description import Description
 from calib.core.robots.mechanism import Mechanism, RelativeFrame, rigid, view
 from calib.core.robots.terms.term import tilts_of
 from calib.core.robots.terms.terms import TERMS
-from calib.core.robots.urdf.text import HELD_TYPES, UNSUPPORTED_TYPES, UrdfJoint, UrdfText, require_supported
+from calib.core.robots.urdf.reader import HELD_TYPES, UNSUPPORTED_TYPES, UrdfJoint
+from calib.core.robots.urdf.text import UrdfText, require_supported
 
 Loops = tuple[RelativeFrame, ...]
 

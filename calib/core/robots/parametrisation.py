@@ -82,11 +82,8 @@ def _without_names(
                 " set base.pose and targets.*.position to 'known'"
             )
         plugin = _from_plugin(description.parametrisation, origins, mechanism, where)
-        return (
-            ParametrisationStack((plugin, _components(unknown, origins, mechanism, inverted, where)))
-            if unknown
-            else plugin
-        )
+        parts = (plugin, _components(unknown, origins, mechanism, inverted, where))
+        return ParametrisationStack(parts) if unknown else plugin
     listed = sorted(description.origins, key=lambda section: section.origin == "all")  # exact entries win
     entries = [(section, description.priors, False) for section in listed]
     return _components(entries + unknown, origins, mechanism, inverted, where)

@@ -18,7 +18,7 @@ from calib.core.robots.description import description_yaml
 from calib.core.robots.joint_errors import with_terms
 from calib.core.robots.robot_data import RobotData, SomeRobot
 from calib.core.robots.terms.terms import TERMS
-from calib.core.robots.urdf.text import Triple
+from calib.core.robots.urdf.reader import Triple
 
 _ROUNDING = 1e-14  # a number of the URDF that moves by less has not been edited [m or rad]
 

@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 
 from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.words import listing
-from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText, require_supported
+from calib.core.robots.urdf.reader import HELD_TYPES, UrdfJoint
+from calib.core.robots.urdf.text import UrdfText, require_supported
 
 _SHORT = 1 / 3  # fingers reach less than this part of the way from the arm's first joint to them
 _ALIKE = 0.5  # the second longest finger reaches at least this part of the longest
@@ -114,12 +115,9 @@ class _Tree:
         require_supported(way[way.index(moving[0]) :] if moving else way, self.urdf.path)
         still = tuple(joint.name for joint in way if joint.unstated and not joint.moves)
         if not names:
-            why = (
-                f"{listing(still)} have a <limit> without lower and upper, which is 0 to 0; write the limits into the"
-                ' URDF, or type="continuous"'
-                if still
-                else "there is nothing to calibrate"
-            )
+            unstated = "a <limit> without lower and upper, which is 0 to 0; write the limits into the URDF"
+            advice = f'{listing(still)} have {unstated}, or type="continuous"'
+            why = advice if still else "there is nothing to calibrate"
             raise DescriptionError(f"{self.urdf.path}: no joint moves link '{target}'; {why}")
         return ArmChain(target, moving[0].parent, names, still=still)
 

@@ -38,7 +38,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
-from calib.core.robots.urdf.text import Triple
+from calib.core.robots.urdf.reader import Triple
 from calib.core.robots.urdf.writing import joint_text, robot_text
 
 Convention = Literal["standard", "modified"]

@@ -23,7 +23,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.units import quantity_text
-from calib.core.robots.urdf.text import Triple
+from calib.core.robots.urdf.reader import Triple
 from calib.core.robots.urdf.writing import joint_text
 
 BASE = "base"

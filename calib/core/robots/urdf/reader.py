@@ -31,6 +31,10 @@ MOST_LINKS = 300
 """Largest number of links: Pinocchio's data grow with the third power."""
 _LARGEST = 1e9  # largest value in an origin or `<mimic>` [m or rad]: squares and products stay finite
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh", "origin", "mass", "inertia")
+_XML_HINTS = {
+    "declaration not at start": "; the <?xml ...?> line must be the very first",
+    "prefix": "; declare it on the top element, such as xmlns:xacro",
+}
 _NO_NUMBERS = ("name", "filename")
 _SPACE = " \t\r\n"  # XML's; str.split() would also accept the no-break space, which other programs refuse
 
@@ -113,13 +117,7 @@ class UrdfReader:
             self._parser.Parse(self.source, True)
         except xml.parsers.expat.ExpatError as error:
             message = xml.parsers.expat.errors.messages[error.code]
-            hint = (
-                "; the <?xml ...?> line must be the very first"
-                if "declaration not at start" in message
-                else "; declare it on the top element, such as xmlns:xacro"
-                if "prefix" in message
-                else ""
-            )
+            hint = next((hint for words, hint in _XML_HINTS.items() if words in message), "")
             raise UrdfError(
                 f"{self.path}, line {error.lineno}: not valid XML ({message}){hint};"
                 " a robot is a URDF, a YAML description or a result folder"

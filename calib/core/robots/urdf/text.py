@@ -23,32 +23,11 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, UrdfError, require_known
 from calib.core.base.files import read_bytes
 from calib.core.robots.urdf.mjcf_reading import MjcfRobot, outermost, read_mjcf
-from calib.core.robots.urdf.reader import (
-    HELD_TYPES,
-    MOVING_TYPES,
-    NUMBER,
-    UNSUPPORTED_TYPES,
-    Span,
-    Triple,
-    UrdfJoint,
-    UrdfReader,
-    from_root,
-)
+from calib.core.robots.urdf.reader import NUMBER, UNSUPPORTED_TYPES, Span, Triple, UrdfJoint, UrdfReader, from_root
 from calib.core.robots.urdf.sdf_reading import read_sdf
 from calib.core.robots.urdf.ur_kinematics import read_origins, ur_urdf
 from calib.core.robots.urdf.writing import number_attribute, shortest
 from calib.core.robots.urdf.xacro_files import expand
-
-__all__ = [
-    "HELD_TYPES",
-    "MOVING_TYPES",
-    "UNSUPPORTED_TYPES",
-    "Triple",
-    "UrdfJoint",
-    "UrdfText",
-    "parse_urdf",
-    "read_urdf",
-]
 
 _ATTRIBUTE = re.compile(rb"""([^\s=<>/'"]+)\s*=\s*("[^"]*"|'[^']*')""")
 _BLANK = re.compile(rb"[ \t\r\n]*")

@@ -9,7 +9,7 @@ from saved_results import with_verdict
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.core.results.comparing_results import difference_covariance, holm
+from calib.fleets.comparing_results import difference_covariance, holm
 
 SIGMA = 3e-5
 

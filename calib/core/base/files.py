@@ -28,8 +28,7 @@ _IMAGES = ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"<svg", "
 def read_bytes(path: Path | str, expected: str, error: type[CalibrationError]) -> bytes:
     """Return what a file, or a pipe, holds; `expected` names it, such as `a CSV file`.
 
-    Raises:
-        CalibrationError: Of the given type: missing, unreadable, or larger than 256 MB.
+    An `error` of the given type if it is missing, unreadable, or larger than 256 MB.
     """
     pieces, size = list[bytes](), 0
     try:

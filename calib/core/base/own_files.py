@@ -125,9 +125,7 @@ def require_replaceable(
 ) -> None:
     """Raise `InputError` if a file, which may be missing, should not be replaced by `content` (if that is known).
 
-    Args:
-        inputs: Further files from which the output was made, which the present command has not read.
-        force: Replace it all the same.
+    `inputs` are further files from which the output was made; `force` replaces it all the same.
     """
     if force or not path.is_file():
         return

@@ -108,12 +108,9 @@ def _discard(path: Path) -> None:
 
 
 def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
-    """Let a folder take the place of `path`; other entries of `path` stay in it.
+    """Let a new folder beside `path` take its place; other entries of `path` stay, but for `obsolete` names.
 
-    Args:
-        new: The new folder, without what others keep in `path`; what has its name afterwards may be removed.
-        path: The place, in the same parent folder.
-        obsolete: Names in `path` that do not stay.
+    The new folder is without what others keep in `path`; what has its name afterwards may be removed.
     """
     with _exclusive_in(path.parent):
         while True:

@@ -176,11 +176,7 @@ class OwnLength:
     sigma: float | None = None
 
     def parameters(self, name: str, start: float | None = None) -> tuple[Parameter, ...]:
-        """Return the length as an unknown of an instrument; nothing if the length is known.
-
-        Args:
-            start: Nominal value where nothing is expected [m].
-        """
+        """Return the length as an unknown, `start` [m] where nothing is expected; nothing if it is known."""
         if not self.unknown:
             return ()
         nominal = self.value if self.sigma is not None or start is None else start
@@ -281,11 +277,7 @@ for _tag in (yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _OPENCV_MATRIX):
 
 
 def read_yaml(path: Path | str, what: str = "a robot description (YAML) or a URDF") -> object:
-    """Read a YAML file; a missing, unreadable or broken one is a `DescriptionError` that names the line.
-
-    Args:
-        what: Expected content, for messages.
-    """
+    """Read a YAML file, of content `what`; a `DescriptionError` names the line where it is broken."""
     return parse_yaml(read_text(path, what, DescriptionError), path)
 
 

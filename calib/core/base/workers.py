@@ -136,11 +136,7 @@ def _answer(function: Callable[[Item], Result], item: Item) -> tuple[bool, Any]:
 
 
 class Steps:
-    """Counts the steps of a long call: how many are done, of how many that are known so far.
-
-    Args:
-        progress: Called after each step; no call if not given.
-    """
+    """Counts the steps of a long call, done and known so far, and tells `progress` after each."""
 
     def __init__(self, progress: Progress | None = None) -> None:
         self._progress = progress

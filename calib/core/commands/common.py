@@ -98,9 +98,7 @@ class Output:
     def check(self, *files: str | None, folders: Sequence[str | None] = (), names: Sequence[str] = ()) -> None:
         """Raise `InputError` before any work if an output could not be written; call it after all input was read.
 
-        Args:
-            files: Files to write, other than that of --json.
-            folders: Folders to write, with the known `names` of their files.
+        Outputs are files other than that of --json, and folders with the known names of their files.
         """
         targets = [file for file in (*files, self.json_target) if file not in (None, "-")]
         for file in targets:

@@ -38,11 +38,10 @@ def lacking_column(name: str, robot: Robot, table: Table) -> str:
 def readings_in(
     robot: Robot, instrument: Instrument, table: Table, rows: IntArray, *, own_lines: bool = False
 ) -> Readings:
-    """Return the readings of an instrument in the rows of a table; a `DataError` names file, line and column.
+    """Return the readings of an instrument in the rows of a table, whose visits are `rows`, (n_table_rows,).
 
-    Args:
-        rows: Visit of each row, (n_table_rows,).
-        own_lines: Whether readings keep their file and line, because other files have the joint values.
+    `own_lines`: readings keep their file and line, because other files have the joint values. A `DataError` names file,
+    line and column.
     """
     lacking = next((column.name for column in instrument.columns() if column.name not in table.names), None)
     if lacking is not None:

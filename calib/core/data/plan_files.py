@@ -57,12 +57,8 @@ def plan_of_table(table: Table, robot: Robot) -> Poses:
 def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None = None) -> Poses:
     """Read poses; the result is `Measurements` if every row has a reading, or if rows repeat a pose.
 
-    Args:
-        paths: The file; several are measurements that belong together.
-        table: Content of a single file, if it was read before.
-
-    Raises:
-        DataError: The file is not valid, or poses that are not measured have the same name.
+    Several files are measurements that belong together; `table` is the content of a single one, if it was read before.
+    `DataError` if a file is not valid, or poses that are not measured have the same name.
     """
     if len(paths) > 1:
         return read_measurements(paths, robot)

@@ -56,9 +56,7 @@ def _may_have_neighbours(cells: FloatArray) -> BoolArray:
 def repeated_poses(joints: FloatArray, by_name: IntArray) -> list[IntArray]:
     """Return groups of rows that repeat one pose, by its name or by its joint values, in the order of the rows.
 
-    Args:
-        joints: Joint values, (n, n_actuated) [m or rad].
-        by_name: A number for each row, the same for those of one pose name, (n,).
+    Joint values are (n, n_actuated) [m or rad]; `by_name` is a number for each row, equal for equal names, (n,).
     """
     order, starts = _rows_by_pose(joints, by_name)
     return np.split(order, starts[1:])

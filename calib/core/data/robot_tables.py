@@ -29,13 +29,9 @@ _UNIT_WRITTEN = re.compile(rf"(?P<name>.*[^\s_])(?:\s*\((?P<unit>[^()]+)\)|[\s_]
 
 
 def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | None = None) -> Table:
-    """Read a table (`calib.core.data.tables.read_table`), its columns called as the robot's.
+    """Read a table as `calib.core.data.tables.read_table` does, its columns called as the robot's.
 
-    Args:
-        growing: Lines so far of a file that is still written.
-
-    Raises:
-        DataError: As `read_table`; a guessed column has no readable unit; or blanks separate the columns.
+    `DataError` also if a guessed column has no readable unit, or blanks separate the columns.
     """
     table = read_table(source, robot.description.columns, growing=growing)
     if len(table.names) == 1 and table.names[0] not in robot.joint_names and len(table.rows[0][0].split()) > 1:

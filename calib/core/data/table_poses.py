@@ -25,11 +25,7 @@ from calib.core.robots.terms.terms import condition_columns
 def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -> Poses:
     """Return the visits of a table; where it does not name its poses, they are counted on from `first`.
 
-    Args:
-        used: Columns that something is read from, other than joints and conditions of a visit.
-
-    Raises:
-        DataError: The message names file, line and column.
+    `used` are columns that something else is read from. A `DataError` names file, line and column.
     """
     setups = setups_of(robot, table) if robot.description.setups and "setup" in table.names else None
     joints, sensed = _joints_of_table(table, robot, setups, robot.joint_names)
@@ -68,11 +64,8 @@ def _check_gravity(poses: Poses, robot: Robot, table: Table) -> None:
 def stands_of_table(table: Table, robot: Robot, setups: IntArray | None) -> dict[str, FloatArray]:
     """Return the joint values that inclinometers read, where the other joints are unknown, (n,) [rad] by name.
 
-    Args:
-        setups: The setup of each row, (n,); None: the first.
-
-    Raises:
-        DataError: No column states the values, or only a sensor whose readings depend on unknowns does.
+    `setups` has the setup of each row, (n,); None: the first. `DataError` if no column states the values, or only a
+    sensor whose readings depend on unknowns does.
     """
     mechanism, turning = robot.nominal, [n for n in robot.commanded_names if robot.nominal.dimensions[n] == "angle"]
     for sensor, section in robot.description.inclinometers.items():

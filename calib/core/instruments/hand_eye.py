@@ -30,12 +30,9 @@ _SETTLED = 1e-9
 def solve_rotations(
     links: FloatArray, seen: FloatArray, first: FloatArray | None = None, second: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the rotations (C, M) for which C A_i = L_i M fits best, (..., 3, 3) each.
+    """Return the rotations (C, M) for which C A_i = L_i M fits best, (..., 3, 3) each; of L_i and A_i, (..., n, 3, 3).
 
-    Args:
-        links: L_i, (..., n, 3, 3).
-        seen: A_i, (..., n, 3, 3).
-        first, second: C and M, where they are known, (..., 3, 3).
+    `first` and `second` are C and M, where they are known.
     """
     form = np.einsum("...kad,...kbc->...abdc", links, seen).reshape(*links.shape[:-3], 9, 9)
     if first is not None:

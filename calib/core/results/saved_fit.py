@@ -165,12 +165,9 @@ def with_saved_terms(robot: Robot, entry: Mapping[str, Any]) -> Robot:
 
 @one_blas_thread
 def evaluate_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFit:
-    """Return a saved fit: the model, evaluated at its end values; `ComputationError` if it cannot be restored.
+    """Return a saved fit: the model of a nominal robot, with or without its terms, evaluated at the end values.
 
-    Args:
-        robot: The nominal robot, with or without its joint terms.
-        entry: Entry `fit` of the content of `read_saved`.
-        where: The result folder, for messages.
+    `entry` is the entry `fit` of the content of `read_saved`. `ComputationError` if the fit cannot be restored.
     """
     try:
         fit = JudgedFit.from_fit(_fit_of(robot, entry))

@@ -38,10 +38,7 @@ def compile_kinematics(use: bool = True) -> Iterator[None]:
 
 def compile_for(n_poses: int, many: int = _MANY_OPEN) -> AbstractContextManager[None]:
     """In the block, use compiled code if that is faster for `n_poses`, one part after the other, unless a caller
-    decides.
-
-    Args:
-        many: Number of poses that is worth loading code that is already compiled.
+    decides; code that is already compiled is worth loading for `many` poses.
     """
     return compile_kinematics() if _requested.get() is None and pays(n_poses, many) else nullcontext()
 

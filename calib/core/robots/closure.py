@@ -23,11 +23,7 @@ from calib.core.robots.mechanism import Mechanism, RelativeFrame
 
 
 class LoopRows:
-    """The rows of all loops of a mechanism, computed for some poses at a time.
-
-    Args:
-        mechanism: The robot.
-    """
+    """The rows of all loops of a mechanism, computed for some poses at a time."""
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism, self.shared = mechanism, kinematics.SweepCache(mechanism, mechanism.loops)
@@ -88,11 +84,7 @@ def motion(
     passive: FloatArray,
     closures: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Values of `actuated_jacobian`, and the derivative of the passive joints, (n, n_passive, n_actuated).
-
-    Args:
-        closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
-    """
+    """Values of `actuated_jacobian`, and dp/da (n, n_passive, n_actuated); `closures` is [C_p C_a], where known."""
     swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
     mapping = kinematics.motion_map(swept, kinematics.motion_rows(swept, (target,), angular=True))
 
@@ -174,8 +166,7 @@ class AssemblyMode(ReadOnlyArrays):
 def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ...]]:
     """Split a square, structurally regular pattern (n, n) into its strongly connected diagonal blocks.
 
-    Returns:
-        Row indices and column indices of each block, columns with few entries first: these are quickly eliminated.
+    Returns row indices and column indices of each, columns with few entries first: these are quickly eliminated.
     """
     column_of_row, entries = _match_rows(pattern), np.sum(pattern, axis=0)
     rows = connected_parts(pattern[:, column_of_row])

@@ -101,10 +101,9 @@ def _correct(
     slope_actuated: FloatArray,
     accepted: BoolArray,
 ) -> None:
-    """Fill in the results of `newton` (passive joints in place, `slope`, `slope_actuated`, `accepted`).
+    """Fill in the results of `newton`: passive joints in place, `slope`, `slope_actuated`, `accepted`.
 
-    Args:
-        limits: Largest residual of a closed pose, if computed, and if predicted from the two before it.
+    `limits` of residuals: of a closed pose, if computed, and if predicted from the two before it.
     """
     (enough, sure), (n, n_passive), loops = limits, passive.shape, LoopRows(mechanism)
     coordinates = loops.moving if len(slope) else loops.passive

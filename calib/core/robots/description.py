@@ -240,14 +240,9 @@ def schema_text() -> str:
 
 
 def validate_description(content: Mapping[str, Any], where: Path | str) -> Description:
-    """Validate the content of a robot description.
+    """Validate keys and values of a robot description; a `DescriptionError` names the place of a wrong one.
 
-    Args:
-        content: Its keys and values.
-        where: Its file, for messages; files that it names are relative to this one.
-
-    Raises:
-        DescriptionError: Unknown key, wrong value; the message names the place.
+    Files that it names are relative to its own, `where`.
     """
     try:
         return Description.model_validate(content, context={"folder": Path(where).parent})

@@ -234,12 +234,9 @@ def description_text(
     measure: str | None = None,
     words: Mapping[str, str] | None = None,
 ) -> str:
-    """Return the YAML text of a plain URDF's description, with comments.
+    """Return the YAML text of a plain URDF's description, with comments, and a remark on the joints that it leaves out.
 
-    Args:
-        remark: Remark on the joints that it leaves out.
-        measure: The way to measure, a name in `MEASURES`; positions of the target if not given.
-        words: Further texts of this way to measure, as YAML.
+    `measure` is a name in `MEASURES` (positions of the target if not given), `words` its further texts, as YAML.
     """
     target = next(iter(description.targets))
     lengths, angles = default_sections()

@@ -101,12 +101,7 @@ class FleetSection(Section):
         return replace(parameter, sigma_si=sigma, prior=True, mean_si=parameter.nominal_si + offset)
 
     def widen(self, factor: float, parameters: Iterable[Parameter]) -> FleetSection:
-        """Return the fleet's prior with all uncertainties multiplied by a factor.
-
-        Args:
-            factor: The factor.
-            parameters: Parameters of the robot, whose dimensions tell what spreads mean.
-        """
+        """Return the fleet's prior with all uncertainties times a factor; dimensions are those of `parameters`."""
         dimension = {p.name: p.dimension for p in parameters}
         wide = {
             name: parameter.model_copy(update={"spread": factor * quantity(parameter.spread, dimension[name], name)})

@@ -39,11 +39,7 @@ _SAME_AXIS = 1e-3  # two axes turn a link alike if their parts across gravity di
 
 @dataclass(frozen=True)
 class GravityTurn(JointTerm):
-    """Two turns of gravity's direction. They move every joint that yields under gravity, by its compliance.
-
-    Attributes:
-        driven: Names of the driven joints that give way.
-    """
+    """Two turns of gravity's direction. They move every joint that yields under gravity, by its compliance."""
 
     adds = False
     cause = "load (compliance)"
@@ -235,10 +231,7 @@ def turn_columns(
 ) -> FloatArray:
     """Return the derivative of the errors of the joints that give way by the turns, (n, n_giving_way, n_turns).
 
-    Args:
-        terms: All terms, the turns last; `values` are their coefficients, (n_coefficients,).
-        q: Commands, (n, n_actuated) [m or rad]; `context` has their torque.
-        slopes: Derivative of the torque by each turn, (n, n_driven) each.
+    The turns are the last of the terms; `slopes` are derivatives of the torque by each, (n, n_driven).
     """
     moved = terms[-1].driven_joint_names(mechanism.dimensions)
     result, start = np.zeros((len(q), len(moved), len(slopes))), 0

@@ -144,11 +144,7 @@ def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None
 
 
 def actual_joints(robot: RobotData, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
-    """Return the driven joints, (n, n_driven), at commands q (n, n_actuated) [m or rad].
-
-    Args:
-        columns: phi of the joint terms (`columns_of_terms`).
-    """
+    """Return the driven joints (n, n_driven) at commands q (n, n_actuated) [m or rad]; `columns`: phi of the terms."""
     if not robot.terms:
         return q
     errors = joint_errors(robot.terms, robot.mechanism, columns, robot.values[robot.coefficients], len(q))

@@ -74,11 +74,8 @@ def joint_box(
     """Return lower and upper joint limits, (n_actuated,) each [m or rad].
 
     A turning joint without limits, or with very wide ones, gets half a turn to each side of `home` (n_actuated,).
-    Joints with a range get this range, as far as it is inside their limits.
-
-    Raises:
-        InputError: A range is outside the limits of its joint.
-        DataError: A prismatic joint has no limits, or the limits of a joint leave no room to move.
+    Joints with a range get this range, as far as it is inside their limits; one outside is an `InputError`. `DataError`
+    if a prismatic joint has no limits, or the limits of a joint leave no room to move.
     """
     joints = {joint.name: joint for joint in urdf.joints}
     still = [name for name in mechanism.actuated if name not in ranges and not joints[name].moves]

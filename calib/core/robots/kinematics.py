@@ -50,11 +50,7 @@ def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
 
 
 def twists_in_world(swept: Sweep, joints: IntArray, twists: FloatArray) -> FloatArray:
-    """Return Ad(T_before) xi, (n, 6, n_twists), of twists xi (n_twists, 6) in the frames before origins.
-
-    Args:
-        joints: Place of each twist's origin among the joints that count, (n_twists,).
-    """
+    """Return Ad(T_before) xi, (n, 6, n_twists), of twists xi (n_twists, 6) before origins, `joints` (n_twists,)."""
     before, (n, k) = swept.reduced.parents[joints], (len(swept.poses), len(joints))
     frames, at = np.unique(before, return_inverse=True)
     spread = np.zeros((len(frames), 3, 2, k))  # R xi of all frames and twists is one product
@@ -383,9 +379,7 @@ def origin_derivative(
 ) -> None:
     """Fill `result` (n, n_rows, k) with map (V_b - V_a) along origin twists, minus their effect through the loops.
 
-    Args:
-        mapping: Map from V_b - V_a to the rows, (n, n_rows, 6).
-        loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
+    `loops`: by how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
     """
     n, n_rows = mapping.shape[:2]
     joints, columns, twists = along.entries

@@ -162,11 +162,7 @@ RobotLike = Robot | Path | str
 
 
 def as_robot(robot: RobotLike) -> Robot:
-    """Return a robot as it is, or loaded from its description or URDF.
-
-    Raises:
-        InputError: It is something else, such as a fit; or a folder, whose description lacks the calibrated values.
-    """
+    """Return a robot as it is, or loaded from its file; something else, such as a folder, is an `InputError`."""
     if isinstance(robot, (Path, str)):
         if Path(robot).is_dir():
             raise InputError(f"{robot}: is a folder; the robot of a result is calib.load({str(robot)!r})")

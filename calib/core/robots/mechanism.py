@@ -233,8 +233,7 @@ class Mechanism(ReadOnlyArrays):
     def twists_before(self, twists: FloatArray | None) -> FloatArray:
         """Return Ad(placement) xi, twists of origins in the frames before them, (n_joints, 6, k).
 
-        Args:
-            twists: Combinations of xi, of all origins, (6 n_joints, k); None: every one alone.
+        xi are (6 n_joints, k), of all origins; None: every one alone.
         """
         n, every = self.n_joints, np.eye(6 * self.n_joints) if twists is None else twists
         rotation = self.placements[:, :9].reshape(n, 3, 3).transpose(0, 2, 1)

@@ -32,12 +32,10 @@ def build_mechanism(
     instruments: tuple[Instrument, ...],
     where: str,
 ) -> Mechanism:
-    """Build the mechanism of a URDF and its description.
+    """Build the mechanism of a URDF and its description; a joint that mimics itself is a `UrdfError`.
 
-    Raises:
-        DescriptionError: An unknown name, an unsupported joint on the way to what is measured, or loops that do not
-            determine the passive joints.
-        UrdfError: A joint mimics itself.
+    `DescriptionError` for an unknown name, an unsupported joint on the way to what is measured, or loops that do not
+    determine the passive joints.
     """
     model, frames, tilts = _tree(urdf, tilted_joints(description))
     origin_names = list(model.names[1:])

@@ -52,10 +52,7 @@ _mm = partial(quantity_text, dimension="length", form=".9g")
 
 
 def read_lengths(name: str, given: Iterable[str]) -> dict[str, float]:
-    """Return a template's lengths [m], those of `given` (NAME=VALUE, with a unit) in place of the defaults.
-
-    `InputError` if a length is unknown, given twice, or not positive.
-    """
+    """Return lengths [m], those of `given` (NAME=VALUE, with a unit) in place of defaults; or raise `InputError`."""
     lengths, seen = dict(TEMPLATES[name].lengths), set()
     for text in given:
         key, equals, value = (part.strip() for part in text.partition("="))

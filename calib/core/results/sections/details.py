@@ -23,9 +23,8 @@ from calib.core.results.sections.terms import curve_lines, terms_lines, terms_no
 def details(fit: Fit, *, brief: bool = False) -> list[str]:
     """Return details that the tables do not show, one line each.
 
-    Args:
-        brief: Whether to leave out what a page shows in sections of its own: found noise, residuals, determination,
-            and the uncertainty of positions.
+    `brief` leaves out what a page shows in sections of its own: found noise, residuals, determination, and the
+    uncertainty of positions.
     """
     elsewhere = (noise_lines, budget_lines, determined_lines, held_lines, position_lines)
     order = (

@@ -107,10 +107,8 @@ def columns_of(sensor: str) -> dict[str, Dimension]:
 def read_down(conditions: Mapping[str, FloatArray]) -> FloatArray | None:
     """Return the direction of gravity that sensors read, (n, 3), in their axes; NaN where not read, None if never.
 
-    Tilts are defined in `calib.core.instruments.orientation`: 0 where the sensor is level, right-handed.
-
-    Args:
-        conditions: `COLUMNS` by name, (n,) each [SI].
+    Tilts are defined in `calib.core.instruments.orientation`: 0 where the sensor is level, right-handed. `conditions`
+    are `COLUMNS` by name, (n,) each [SI].
     """
     down: FloatArray | None = None
     for names in _WAYS:
@@ -129,13 +127,7 @@ def read_down(conditions: Mapping[str, FloatArray]) -> FloatArray | None:
 
 
 def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[int], sensor: str = "") -> None:
-    """Raise `DataError` where columns do not determine the direction of gravity.
-
-    Args:
-        conditions: `COLUMNS` by name, (n,) each [SI].
-        lines: Line of each row in the file.
-        sensor: Prefix of these names in the file.
-    """
+    """Raise `DataError` where `COLUMNS` (n,) do not determine gravity; a `sensor` has this prefix in the file."""
     having = [names for names in _WAYS if any(name in conditions for name in names)]
     if len(having) > 1:
         first, second = (sensor + next(name for name in names if name in conditions) for names in having[:2])

@@ -55,12 +55,9 @@ else:
 
 
 def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | None]:
-    """Return the columns of a file for the conditions of a visit, with their dimensions.
+    """Return columns of a file for the conditions of a visit, and those that terms read, with their dimensions.
 
     Columns of a term that cannot be loaded are left out; the error is raised when that term is used.
-
-    Args:
-        terms: A robot's joint terms; some read columns of their own.
     """
     columns = dict(CONTEXT) | dict.fromkeys(column for term in terms for column in term.reads())
     for name in TERMS:

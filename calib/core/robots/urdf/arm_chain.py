@@ -69,13 +69,9 @@ class ArmChain:
 
 
 def arm_chain(urdf: UrdfText, target: str | None = None) -> ArmChain:
-    """Return the chain to a link, by default to the end of the arm.
+    """Return the chain to a link, `target`, by default to the end of the arm.
 
-    Args:
-        target: Link with the measured point.
-
-    Raises:
-        DescriptionError: There is no such link, or no joint moves it, or a joint of an unsupported type does.
+    `DescriptionError` if there is no such link, or no joint moves it, or a joint of an unsupported type does.
     """
     tree = _Tree(urdf)
     if target is not None:

@@ -79,9 +79,7 @@ class UrdfText:
         """Return the file with the `xyz` [m] and `rpy` [rad] of the named joints' origins replaced.
 
         Numbers that do not change keep their spelling; a missing `<origin>` or attribute is added only if needed.
-
-        Raises:
-            UrdfError: Unknown joint, a number that is not finite, or an origin that the file cannot hold.
+        `UrdfError` for an unknown joint, a number that is not finite, or an origin that the file cannot hold.
         """
         by_name = {joint.name: joint for joint in self.joints}
         edits: list[Edit] = []
@@ -147,11 +145,7 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
 
 
 def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:
-    """Raise `DescriptionError` for a floating or planar joint, whose motion no joint value states.
-
-    Args:
-        joints: Joints between the frames of the instruments.
-    """
+    """Raise `DescriptionError` if a joint is floating or planar: no joint value states its motion."""
     for joint in joints:
         if joint.type in UNSUPPORTED_TYPES:
             raise DescriptionError(

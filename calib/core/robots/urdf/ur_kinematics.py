@@ -69,11 +69,7 @@ def nominal_origins(model: str) -> FloatArray:
 
 
 def points(origins: FloatArray) -> FloatArray:
-    """Return the position of a point on the last axis at many poses, (n, 3) [m].
-
-    Args:
-        origins: x y z [m] roll pitch yaw [rad], (6, 6).
-    """
+    """Return a point on the last axis at many poses, (n, 3) [m]; `origins` have xyz [m] and rpy [rad], (6, 6)."""
     turn = scipy.spatial.transform.Rotation.from_euler
     q = 2 * np.pi * halton(_POSES + 1, 6)[1:] - np.pi
     p = np.tile(_TOOL, (_POSES, 1))

@@ -42,14 +42,7 @@ _EMPTY = re.compile(r"<xacro:arg\s+name=\"([A-Za-z]\w*)\"\s+default=\"\"")
 
 
 def expand(path: Path | str, arguments: Mapping[str, str]) -> bytes:
-    """Return the URDF of a xacro file, expanded by the optional package xacro.
-
-    Args:
-        arguments: Values of its arguments by name.
-
-    Raises:
-        UrdfError: The package is missing, or the file cannot be expanded.
-    """
+    """Return the URDF of a xacro file, expanded by the package xacro; `UrdfError` if that is missing or fails."""
     given = [f"{name}:={value}" for name, value in arguments.items()]
     elsewhere = f"or expand it on a computer with ROS: {' '.join(['xacro', str(path), *given])} > robot.urdf"
     environment = {name: os.environ[name] for name in (*_PACKAGES, *_SYSTEM) if name in os.environ}
@@ -162,12 +155,7 @@ class _OutsideError(Exception):
 
 
 class _Packages:
-    """Folders of packages: the one around a file, and others once they are used.
-
-    Attributes:
-        own: Folder of the package around the file.
-        found: Folders of others, by name.
-    """
+    """Folders of packages: the one around a file, and others once they are `found`, by name."""
 
     def __init__(self, path: Path) -> None:
         around = next((folder for folder in path.parents if (folder / "package.xml").is_file()), None)

@@ -110,11 +110,7 @@ class ReadOnlyArrays:
             cls.__repr__ = ReadOnlyArrays.__repr__  # type: ignore[method-assign]  # the class has its own, which dataclass keeps
 
     def __repr__(self) -> str:
-        shown_fields = ((field.name, getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]
-        shown = (
-            f"{name} {np.shape(value) if isinstance(value, np.ndarray) else _short(value)}"
-            for name, value in shown_fields
-        )
+        shown = (f"{field.name} {_short(getattr(self, field.name))}" for field in fields(self))  # type: ignore[arg-type]
         return f"<{type(self).__name__}: {', '.join(shown)}>"
 
     def __post_init__(self) -> None:

@@ -157,9 +157,8 @@ def command(
         text = read_urdf(str(urdf), arguments)
     how = MEASURES[measure] if measure else None
     sheet = Path(out).with_name(f"{Path(out).stem}_measurements.csv") if how and how.comments else None
-    to_print = (
-        Path(out).with_name(f"{Path(out).stem}_board.yaml") if measure == "camera" and not _is_file(board) else None
-    )
+    has_board = board is not None and Path(board).suffix.lower() in (".yaml", ".yml")
+    to_print = Path(out).with_name(f"{Path(out).stem}_board.yaml") if measure == "camera" and not has_board else None
     output.check(out, *(str(file) for file in (urdf_out, sheet, to_print) if file is not None))
     relative = os.path.relpath(Path(text.path).resolve(), Path(out).resolve().parent)
     described, remark = first_description(text, relative, target or (LAST_LINK if dh else None))
@@ -209,10 +208,6 @@ def _empty_sheet(robot: Robot, measure: Measure) -> str:
 def _load_unwritten(urdf: UrdfText, description: str) -> Robot:
     """The robot of a description that is not written yet, whose columns and reach are then known."""
     return build(validate_description(parse_yaml(description, urdf.path), urdf.path), urdf, urdf.path)
-
-
-def _is_file(board: str | None) -> bool:
-    return board is not None and Path(board).suffix.lower() in (".yaml", ".yml")
 
 
 def _write_template(name: str, given: Sequence[str], urdf: Path, description: Path, output: Output) -> None:

@@ -99,7 +99,9 @@ class JointReading(JointInstrument):
     def compare(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> JointComparison:
         """Return errors of the joint, and their derivatives by the joint and the zero."""
         n = len(readings)
-        residuals = self._nearest_turn(self.predict(joint, unknowns, readings.details) - readings.values)
+        residuals = self.predict(joint, unknowns, readings.details) - readings.values
+        if self.dimension == "angle":  # a whole turn is no error
+            residuals = np.mod(residuals + np.pi, 2 * np.pi) - np.pi
         return JointComparison(residuals, np.ones((n, 1)), np.ones((n, 1, len(unknowns))))
 
     def first_unknowns(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> FloatArray:
@@ -122,8 +124,3 @@ class JointReading(JointInstrument):
         if self.dimension == "angle":
             yield f"degrees of {self.name} were read as radians", np.radians(values)
             yield f"radians of {self.name} were read as degrees", np.degrees(values)
-
-    def _nearest_turn(self, off: FloatArray) -> FloatArray:
-        if self.dimension == "length":
-            return off
-        return np.mod(off + np.pi, 2 * np.pi) - np.pi

@@ -26,8 +26,7 @@ _COLUMNS = ("point", "x", "y", "z")
 
 def _folder(info: ValidationInfo) -> Path:
     """Folder of the description; files that it names are relative to it."""
-    folder: Path = (info.context or {}).get("folder", Path())
-    return folder
+    return (info.context or {}).get("folder", Path())
 
 
 def _board(given: Any, info: ValidationInfo) -> Any:

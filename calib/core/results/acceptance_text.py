@@ -67,7 +67,11 @@ def text_report(
             "ISO 9283 with 95 % intervals; commanded is what the calibrated robot predicts",
             _iso_table(figures),
         ]
-    lines = [_placing_sentence(acceptance), *missing] if figures and acceptance.placed else missing
+    placing = (
+        f"base and targets were placed by these readings, so AP has {acceptance.placed} degrees of freedom less;"
+        " --same-setup keeps them"
+    )
+    lines = [placing, *missing] if figures and acceptance.placed else missing
     parts += [f"ISO 9283: {'; '.join(lines)}"] if lines else []
     stated = conditions(data.comments)
     parts += [f"{key}: {stated[key]}" for key in CONDITIONS if key in stated]
@@ -198,13 +202,6 @@ def _drift(acceptance: Acceptance) -> list[str]:
     if others:
         lines.append(f"These readings cannot tell it from a change of {listing(others)}")
     return lines
-
-
-def _placing_sentence(acceptance: Acceptance) -> str:
-    return (
-        f"base and targets were placed by these readings, so AP has {acceptance.placed} degrees of freedom less;"
-        " --same-setup keeps them"
-    )
 
 
 def _heading(changes: Sequence[Change]) -> str:

@@ -288,8 +288,7 @@ def gaps(swept: Sweep) -> FloatArray:
     if any(loop.full_pose for loop in loops):
         return np.concatenate([value(swept, loop) for loop in loops], axis=1)
     axes, points = swept.loop_frames
-    components: FloatArray = np.einsum("nij,nij->ni", axes, points - swept.translation[:, swept.shared.loop_rows[0]])
-    return components
+    return np.einsum("nij,nij->ni", axes, points - swept.translation[:, swept.shared.loop_rows[0]])
 
 
 def gap_maps(swept: Sweep) -> FloatArray:

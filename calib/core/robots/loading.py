@@ -28,7 +28,7 @@ from calib.core.robots.loops import check_home
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.mechanism_builder import build_mechanism, home_values
 from calib.core.robots.parametrisation import build_parametrisation, default_sections
-from calib.core.robots.robot import Robot, require_robot
+from calib.core.robots.robot import Robot
 from calib.core.robots.terms.gravity import columns_of
 from calib.core.robots.terms.terms import condition_columns
 from calib.core.robots.urdf.arm_chain import ArmChain, arm_chain
@@ -167,7 +167,10 @@ def as_robot(robot: RobotLike) -> Robot:
         if Path(robot).is_dir():
             raise InputError(f"{robot}: is a folder; the robot of a result is calib.load({str(robot)!r})")
         return load(robot)
-    require_robot(robot)
+    if not isinstance(robot, Robot):
+        raise InputError(
+            f"robot: expected a Robot, not {type(robot).__name__}; load one with calib.load; a fit has one as .robot"
+        )
     return robot
 
 

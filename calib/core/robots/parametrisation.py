@@ -125,8 +125,7 @@ def result_use(description: Description) -> ResultUse | None:
     """Return the `result_use` of a named parametrisation: how the calibrated robot is used; None if it has none."""
     if not isinstance(description.parametrisation, str):
         return None
-    use: ResultUse | None = getattr(load_entry(ENTRY_POINTS, description.parametrisation), "result_use", None)
-    return use
+    return getattr(load_entry(ENTRY_POINTS, description.parametrisation), "result_use", None)
 
 
 def default_sections() -> tuple[OriginSection, ...]:

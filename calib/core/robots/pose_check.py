@@ -65,5 +65,4 @@ def blocking_sentence(pairs: Counter[str], n: int) -> str:
 
 def check_poses(robot: RobotData, joints: FloatArray) -> PoseCheck:
     """Return the check at joints (n, n_actuated) [m or rad]; an impossible obstacle or mesh is a `DescriptionError`."""
-    check: PoseCheck = load_entry("calib.methods", "check_poses")(robot, joints)
-    return check
+    return load_entry("calib.methods", "check_poses")(robot, joints)

@@ -77,8 +77,7 @@ class GravitySection(Section):
     def stated_directions(self, setups: Sequence[str] = ()) -> FloatArray:
         """Return the stated unit vector of each setup, (n_setups, 3); one row if no setups are named."""
         rows = np.array([self.setups.get(name, self.down) for name in setups] or [self.down], dtype=float)
-        result: FloatArray = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-        return result
+        return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
     @property
     def axes(self) -> tuple[int, int]:

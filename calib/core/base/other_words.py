@@ -79,8 +79,7 @@ def _plain(word: str) -> str:
 class HintedObject:
     """Base of objects that users hold: the error for an unknown attribute names the right one.
 
-    Attributes:
-        _other_words: Section of the table with what other packages call its attributes (class attribute).
+    `_other_words` is the section of the table with what other packages call its attributes.
     """
 
     _other_words: ClassVar[str] = ""

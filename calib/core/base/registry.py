@@ -104,11 +104,8 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         self._given[name] = self._check_class(name, given, f"({given!r})")
 
     def __getitem__(self, name: str) -> type[Class]:
-        """Return the class of a name.
-
-        Raises:
-            KeyError: No class has the name.
-            DescriptionError: The class of another package cannot be loaded, or is not complete.
+        """Return the class of a name, or raise `KeyError`; `DescriptionError` if that of another package is not
+        complete.
         """
         known = self._built_in.get(name) or self._given.get(name)
         if known is None:

@@ -221,11 +221,7 @@ class Guess:
 
 
 class InstrumentSection(Section):
-    """The entry of an instrument in a robot description.
-
-    Attributes:
-        kind: Its kind of measurement.
-    """
+    """The entry of an instrument, of some `kind`, in a robot description."""
 
     kind: str
 

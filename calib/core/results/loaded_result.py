@@ -44,12 +44,9 @@ class CalibratedRobot:
     robot: Robot
 
     def export(self, path: Path | str, format: str | None = None, *, force: bool = False) -> None:
-        """Write the calibrated robot for another program; see `calib.export`.
+        """Write the calibrated robot for another program into a file; see `calib.export`.
 
-        Args:
-            path: File to write.
-            format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
-            force: As in `calib.export`.
+        `format` is `urdf`, `mjcf`, `xacro` or another one; by the file's ending if not given.
         """
         load_entry("calib.methods", "export")(self.robot, path, format, force=force)
 

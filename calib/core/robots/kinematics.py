@@ -143,12 +143,9 @@ class Coordinates:
 
 
 class SweepCache:
-    """Data shared by sweeps over many poses of a mechanism, computed once.
+    """Data shared by sweeps over many poses of a mechanism, for these pairs of frames, computed once.
 
-    Args:
-        mechanism: The robot.
-        pairs: Frames that are needed.
-        functions: The compiled functions, where these compute the poses.
+    `functions` are the compiled ones, where these compute the poses.
     """
 
     def __init__(self, mechanism: Mechanism, pairs: tuple[RelativeFrame, ...], functions: Any = None) -> None:

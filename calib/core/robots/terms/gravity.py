@@ -87,11 +87,9 @@ class GravitySection(Section):
 
 
 class InclinometerSection(Section):
-    """A sensor that reads the direction of gravity, and so the angles of two joints that are not commanded.
+    """A sensor on the link `frame` that reads the direction of gravity there, and so two angles that are not commanded.
 
-    Attributes:
-        frame: Link that the sensor is on, in whose axes it reads.
-        joints: Two joints that turn this link, about axes that are not vertical.
+    They are those of two joints that turn this link, about axes that are not vertical.
     """
 
     frame: str

@@ -134,22 +134,15 @@ class Compliance(OneCoefficient):
 
 
 class GravityBacklashSection(TermSection):
-    """Backlash whose side gravity decides.
-
-    Attributes:
-        torque: The torque h about which the joint changes over: from it on, gravity has taken up most of the play
-            [N m; N of one that slides].
-    """
+    """Backlash whose side gravity decides; from `torque` on, it has taken up most of the play [N m; N if it slides]."""
 
     torque: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
 
 
 @dataclass(frozen=True)
 class GravityBacklash(OneCoefficient):
-    """dq = c (half the play) towards the side to which gravity pulls the joint, smooth where that changes.
-
-    Attributes:
-        knee: The torque h about which it changes over [N m or N].
+    """dq = c (half the play) towards the side to which gravity pulls; the side changes smoothly about the torque
+    `knee`.
     """
 
     section = GravityBacklashSection
@@ -180,11 +173,7 @@ class Bending(Compliance):
 
 
 class CouplingSection(TermSection):
-    """A coupling.
-
-    Attributes:
-        driven_by: The other joint.
-    """
+    """A coupling with another joint, `driven_by`."""
 
     driven_by: str
 
@@ -193,8 +182,7 @@ class CouplingSection(TermSection):
 class Coupling(OneCoefficient):
     """dq = c times the command of another joint: of a belt, a tendon, or a motor that sits on the other's link.
 
-    Attributes:
-        other: Index of the other joint among the actuated ones.
+    `other` is the index of that joint among the actuated ones.
     """
 
     section = CouplingSection

@@ -89,12 +89,7 @@ class DhRow:
 
 @dataclass(frozen=True)
 class DhTable:
-    """A chain of rows, from the base frame to the last frame.
-
-    Attributes:
-        convention: `standard` or `modified`.
-        rows: Rows in their order along the chain.
-    """
+    """A chain of rows, from the base frame to the last frame, in the `standard` or the `modified` convention."""
 
     convention: Convention
     rows: tuple[DhRow, ...]

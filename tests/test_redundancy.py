@@ -403,6 +403,13 @@ def test_the_nearest_hole_is_taken_where_none_is_stated_and_never_one_beyond_the
         board.parse_texts({"it": ["30/0"]}, ["line 7"])
 
 
+def test_a_reading_that_names_no_place_is_not_lost(tmp_path):
+    eye = sighting(tmp_path)[0].instrument("eye")
+    assert list(eye.parse_texts({"eye": ["near", "far"]}, ["line 1", "line 2"])[1]) == [0, 1]
+    with pytest.raises(calib.DataError, match="line 2, column 'eye': 'eye' has no place ''; valid: far, near"):
+        eye.parse_texts({"eye": ["near", ""]}, ["line 1", "line 2"])
+
+
 @pytest.mark.quick(0)
 def test_a_wrong_nearest_hole_does_not_pass(tmp_path):
     _, _, drawn = pegged(tmp_path, TRUE)

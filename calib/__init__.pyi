@@ -23,8 +23,6 @@ from calib.core.data.parameter_files import read_parameters as read_parameters
 from calib.core.fitting.fitted import Fit as Fit
 from calib.core.judging.acceptance import Acceptance as Acceptance
 from calib.core.judging.acceptance import verify as verify
-from calib.core.results.comparing_results import compare as compare
-from calib.core.results.comparison_report import ResultComparison as ResultComparison
 from calib.core.results.loaded_result import LoadedResult as LoadedResult
 from calib.core.results.loaded_result import predict as predict
 from calib.core.results.result_reading import load as load
@@ -37,6 +35,8 @@ from calib.core.robots.parameters import twist_of_edit as twist_of_edit
 from calib.core.robots.robot import Robot as Robot
 from calib.core.rows.simulate import simulate as simulate
 from calib.exporting.formats import export as export
+from calib.fleets.comparing_results import compare as compare
+from calib.fleets.comparison_report import ResultComparison as ResultComparison
 from calib.fleets.fleet import Fleet as Fleet
 from calib.fleets.fleet import fleet as fleet
 from calib.matching.match import match as match

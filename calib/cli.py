@@ -14,7 +14,7 @@ _COMMANDS = {
     "init": ("calib.core.commands.init", "Write a robot description to start from."),
     "check": ("calib.planning.commands.check", "Say which parameters poses determine, and how well."),
     "sample": ("calib.planning.commands.sample", "Write poses that a robot can take."),
-    "compare": ("calib.core.commands.compare", "Show results side by side."),
+    "compare": ("calib.fleets.compare_command", "Show results side by side."),
     "fleet": ("calib.fleets.command", "Make a prior for the next robot of a model."),
     "select": ("calib.planning.commands.select", "Choose the poses to measure."),
     "route": ("calib.motion.command", "Plan a way through poses, as a program for the robot."),

@@ -36,7 +36,7 @@ from calib.core.commands.common import Output
 from calib.core.commands.first_files import FirstFiles
 from calib.core.data.other_formats import OtherFormat, SomeFile
 from calib.core.fitting.fitted import Fit
-from calib.core.instruments.checking import check_kind
+from calib.core.instruments.checking import check_kind, check_term
 from calib.core.instruments.kind import (
     Column,
     Comparison,
@@ -57,14 +57,13 @@ from calib.core.instruments.relation import RelatedSection, Relation
 from calib.core.judging.reasons import Reason
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import Format, FormatFile
-from calib.core.robots.named_origins import NamedComponent, NamedOrigins
 from calib.core.robots.parameters import Origin, Parametrisation, ResultUse, twist_of_edit
 from calib.core.robots.robot import Robot
-from calib.core.robots.terms.checking import check_term
 from calib.core.robots.terms.formula import Formula, Proportional, Source, WaveFormula
 from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm, TermSection, coefficient
 from calib.core.robots.terms.terms import TERMS
 from calib.quality.protocol import Check, Phase
+from calib.redundancy.named_origins import NamedComponent, NamedOrigins
 
 __all__ = [
     "KINDS",

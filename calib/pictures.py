@@ -18,7 +18,6 @@ from calib.core.base.files import image_address
 
 if TYPE_CHECKING:
     from calib.core.fitting.fitted import Fit
-    from calib.core.results.comparison_report import ResultComparison
     from calib.core.robots.robot import Robot
 
 GROUP = "calib.pictures"
@@ -73,7 +72,7 @@ class Pictures(Protocol):
     def pages(self, fit: Fit, logo: str) -> dict[str, bytes]:
         """Return the pages of a result folder, with an image that its address holds (none: empty)."""
 
-    def comparison(self, result_comparison: ResultComparison) -> bytes:
+    def comparison(self, result_comparison: Any) -> bytes:
         """Return the page of results side by side."""
 
     def fleet(self, learned: Any) -> bytes:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.core.results.comparison_report import Difference, ResultComparison, p_text
+from calib.fleets.comparison_report import Difference, ResultComparison, p_text
 from viz.charts import MANY, Chart, Charts, axis, layer, panel
 from viz.page_parts import places
 from viz.report_page import printed_page

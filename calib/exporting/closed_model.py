@@ -23,7 +23,8 @@ from calib.core.robots.mechanism import rigid
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import urdf_of_origins
 from calib.core.robots.urdf.links import possible_inertia, read_links
-from calib.core.robots.urdf.text import HELD_TYPES, UrdfText, parse_urdf
+from calib.core.robots.urdf.reader import HELD_TYPES
+from calib.core.robots.urdf.text import UrdfText, parse_urdf
 from calib.core.robots.urdf.writing import quote_attribute
 from calib.exporting.gap import Gap, free_joints, loop_gaps, require_small
 

@@ -27,7 +27,7 @@ from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, Component
 from calib.core.base.units import Dimension, error_scale, quantity_text
 from calib.core.robots import kinematics
 from calib.core.robots.configurations import joint_vector
-from calib.core.robots.joint_samples import joint_samples
+from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.robot import Robot
 
 LARGEST_CHANGE = 0.01

@@ -17,7 +17,8 @@ from calib.core.base.errors import InputError
 from calib.core.base.units import error_scale, millimetres
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.robot import Robot
-from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText
+from calib.core.robots.urdf.reader import HELD_TYPES, UrdfJoint
+from calib.core.robots.urdf.text import UrdfText
 from calib.exporting.closed_model import joint_motion, link_of
 from calib.exporting.gap import joint_ranges, poses_near_home
 

@@ -1,1 +1,1 @@
-"""The prior of the next robot of a model, from results of several robots."""
+"""Several results: what differs between them, and the prior of the next robot of their model."""

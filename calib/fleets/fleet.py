@@ -18,11 +18,11 @@ from calib.core.base.parameter import Parameter
 from calib.core.base.sections import COMPONENTS
 from calib.core.base.words import as_data, count_noun, distinct_names, listing, plain_text, text_table
 from calib.core.numerics.chances import FALSE_ALARM
-from calib.core.results.comparing_results import geometry
 from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.result_reading import load_result
 from calib.core.robots.description import description_yaml
 from calib.core.robots.robot import Robot
+from calib.fleets.comparing_results import geometry
 from calib.fleets.hierarchy import FleetComparison, Hierarchy, learn_without_odd
 from calib.fleets.shared_parameters import evidence_of_fit, section_of, shared_parameters, without_fleet
 from calib.fleets.ur_files import is_calibration, result_of_calibration

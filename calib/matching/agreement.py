@@ -41,7 +41,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.judging.effects import wave_orders
 from calib.core.numerics import linalg
 from calib.core.robots.jacobian import linearise
-from calib.core.robots.joint_samples import joint_samples
+from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.robot import Robot
 
 CONTROLLER = "controller"

@@ -200,14 +200,14 @@ def linear_delta_plan(geometry: DeltaGeometry, copies: int = 1) -> Plan:
             angle, arm, carriage = geometry.angles[k], geometry.arms[k], f"carriage_{tower}{suffix}"
             name = f"arm_{tower}{suffix}"
             place = (geometry.radius * math.cos(angle), geometry.radius * math.sin(angle), geometry.carriages[k])
-            plan.place(f"tower_{tower}{suffix}", BASE, f"top_{tower}{suffix}", place, angle)
+            plan.add_fixed_joint(f"tower_{tower}{suffix}", BASE, f"top_{tower}{suffix}", place, turned=angle)
             down = geometry.endstops[k] - height
             room = (-0.01, geometry.carriages[k])
             plan.slider(f"{tower}{suffix[1:]}", f"top_{tower}{suffix}", carriage, down, "0 0 -1", room, motor=True)
             lean = math.asin(geometry.radius / arm)
             plan.hinge(f"{name}_y", carriage, f"{name}_cross", lean, axis="0 1 0")
             plan.hinge(f"{name}_x", f"{name}_cross", f"{name}_link", 0.0, axis="1 0 0")
-            plan.place(f"{name}_end", f"{name}_link", f"{name}_tip", (0.0, 0.0, -arm))
+            plan.add_fixed_joint(f"{name}_end", f"{name}_link", f"{name}_tip", (0.0, 0.0, -arm))
             plan.loops.append((f"platform{suffix}", f"{name}_tip"))
     plan.targets["nozzle"] = ("platform", (0.0, 0.0, 0.0))
     return plan

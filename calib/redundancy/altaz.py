@@ -19,9 +19,9 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.parameter import Parameter
-from calib.core.robots.named_origins import NamedComponent, NamedOrigins
 from calib.core.robots.parameters import Origin
 from calib.core.robots.terms.term import Context, Joint, JointTerm, TermSection
+from calib.redundancy.named_origins import NamedComponent, NamedOrigins
 
 _UNIT = "arcsec"
 COMPONENTS = (

@@ -19,9 +19,9 @@ from calib.core.base.sections import Component
 from calib.core.base.units import millimetres
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import Format, FormatFile
-from calib.core.robots.named_origins import NamedComponent, NamedOrigins
 from calib.core.robots.parameters import Origin
 from calib.core.robots.robot import Robot
+from calib.redundancy.named_origins import NamedComponent, NamedOrigins
 
 NAME = "rotary_axes"
 _LINEAR: tuple[Component, ...] = ("x", "y", "z")

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from calib.core.results.comparison_report import Difference, Pair, ResultComparison
+from calib.fleets.comparison_report import Difference, Pair, ResultComparison
 from viz.comparison_page import comparison_page, intervals
 
 NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)

@@ -68,15 +68,7 @@ def _names_of_fields(of: type) -> tuple[str, ...]:
 
 
 def numbers_in(given: ArrayLike, what: str) -> FloatArray:
-    """Return an array of numbers; anything else in it, such as text, is an `InputError`.
-
-    Args:
-        given: The numbers, (..., n).
-        what: Their name, in the message.
-
-    Returns:
-        The numbers in the given shape, (..., n).
-    """
+    """Return numbers in the given shape, (..., n); anything else, such as text, is an `InputError` that says what."""
     try:
         return np.asarray(given, dtype=float)
     except (TypeError, ValueError) as error:
@@ -98,11 +90,7 @@ class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
         return result
 
     def __getitem__(self, key: Any) -> Any:
-        """Return a row by its name, or anything else as an array does.
-
-        Raises:
-            InputError: No row has this name.
-        """
+        """Return a row by its name (an unknown one is an `InputError`), or anything else as an array does."""
         if isinstance(key, str) and key not in self._names:
             raise InputError(f"no row '{key}'{nearest(key, self._names)}")
         return np.asarray(self)[self._names.index(key) if isinstance(key, str) else key]
@@ -122,11 +110,7 @@ class ReadOnlyArrays:
             cls.__repr__ = ReadOnlyArrays.__repr__  # type: ignore[method-assign]  # the class has its own, which dataclass keeps
 
     def __repr__(self) -> str:
-        shown_fields = ((field.name, getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]
-        shown = (
-            f"{name} {np.shape(value) if isinstance(value, np.ndarray) else _short(value)}"
-            for name, value in shown_fields
-        )
+        shown = (f"{field.name} {_short(getattr(self, field.name))}" for field in fields(self))  # type: ignore[arg-type]
         return f"<{type(self).__name__}: {', '.join(shown)}>"
 
     def __post_init__(self) -> None:

@@ -73,7 +73,7 @@ class NotConvergedError(ComputationError):
 
 
 def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
-    """Return the hint `"; did you mean 'x'?"`, or the list of valid names when none is close.
+    """Return the hint `"; did you mean 'x'?"`, or the list of valid names, after the words `what`, when none is close.
 
     >>> nearest("degrees", ["rad", "deg"])
     "; did you mean 'deg'?"
@@ -81,10 +81,6 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
     '; valid: deg, rad'
     >>> nearest("elbow.offset", ["elbow.x", "elbow.rz", "wrist.x"])
     "; 'elbow' has elbow.rz, elbow.x"
-
-    Args:
-        valid: Accepted names.
-        what: The words before the list.
     """
     names = sorted({str(item) for item in valid})
     same = [item for item in names if item.casefold() == str(name).casefold()]
@@ -111,9 +107,7 @@ def require_known(name: str, valid: Collection[str], message: str, error: type[E
 def nearest_column(name: str, columns: Collection[str], taken: Collection[str] = ()) -> str:
     """Return a hint for a column that a file lacks: the nearest one that it has, and all of them.
 
-    Args:
-        columns: Columns of the file.
-        taken: Columns among these that mean something else and are not offered.
+    Columns that are `taken` mean something else and are not offered.
     """
     hint = nearest(name, [column for column in columns if column not in taken], "the file has")
     if not hint.endswith("?"):

@@ -26,14 +26,9 @@ _IMAGES = ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"<svg", "
 
 
 def read_bytes(path: Path | str, expected: str, error: type[CalibrationError]) -> bytes:
-    """Return what a file holds.
+    """Return what a file, or a pipe, holds; `expected` names it, such as `a CSV file`.
 
-    Args:
-        path: The file; also a pipe.
-        expected: Expected kind, such as `a CSV file`.
-
-    Raises:
-        CalibrationError: Of the given type: missing, unreadable, or larger than 256 MB.
+    An `error` of the given type if it is missing, unreadable, or larger than 256 MB.
     """
     pieces, size = list[bytes](), 0
     try:
@@ -56,9 +51,7 @@ def read_bytes(path: Path | str, expected: str, error: type[CalibrationError]) -
 def read_text(path: Path | str, expected: str, error: type[CalibrationError], *, growing: bool = False) -> str:
     """Return the text of a file without byte order mark and with one kind of line ends.
 
-    Args:
-        expected: Expected content, for the error.
-        growing: Whether the file is still written: a last line without its end is left out.
+    `growing`: the file is still written, and a last line without its end is left out.
     """
     content = read_bytes(path, expected, error)
     if growing:
@@ -72,8 +65,7 @@ def read_text(path: Path | str, expected: str, error: type[CalibrationError], *,
 def image_address(path: Path | str) -> str:
     """Return a PNG, JPEG or SVG image as an address that holds it, for a page that loads nothing else.
 
-    Raises:
-        InputError: The file is missing, another kind of file, or larger than 512 kB.
+    `InputError` if it is missing, another kind of file, or larger than 512 kB.
     """
     expected = "a PNG, JPEG or SVG image"
     content = read_bytes(path, expected, InputError)
@@ -113,8 +105,7 @@ def write_files(
         force: Also replace files that this program did not write, or has read.
 
     Raises:
-        InputError: A folder does not exist or cannot be written to, or a file should not be replaced; nothing was
-            written.
+        InputError: A file cannot be written, or should not be replaced; nothing was written.
     """
     if comment is None:
         files = {**files, **_manifests(files)}
@@ -152,12 +143,7 @@ def _manifests(files: Mapping[Path, bytes]) -> dict[Path, bytes]:
 
 
 def check_folder(path: Path | str, names: Collection[str] = (), *, force: bool = False) -> None:
-    """Raise `InputError` now if a result could not be written to the folder `path` later.
-
-    Args:
-        names: Files that will be written, as far as they are known.
-        force: See `write_folder`.
-    """
+    """Raise `InputError` now if these files could not be written to the folder `path` later; see `write_folder`."""
     path = Path(path)
     with _explain_errors(path):
         _check_replaceable(path.resolve())
@@ -194,15 +180,10 @@ def write_folder(
     inputs: Iterable[Path | str] = (),
     force: bool = False,
 ) -> None:
-    """Write a folder of files in one go; files of other names that were in it stay.
+    """Write a folder of files in one go; files of other names that were in it stay, those of `obsolete` names go.
 
     The new folder is completed next to the old one and takes its place in one step; see `calib.core.base.replacing`. A
-    manifest in it says what was written (`calib.core.base.own_files`).
-
-    Args:
-        obsolete: Names of files to remove.
-        inputs: Files that they were made from.
-        force: Also replace files that this program did not write, or has read.
+    manifest in it says what was written (`calib.core.base.own_files`); `inputs` and `force` are as in `write_files`.
 
     Raises:
         InputError: The folder cannot be written, or a file in it should not be replaced; what was there is untouched.

@@ -15,20 +15,12 @@ from calib.core.base.errors import InputError
 
 
 def zeros_with_room(shape: tuple[int, ...], what: str) -> FloatArray:
-    """Return zeros of this shape; where they would take more than half of the free memory, in a file without a name.
+    """Return zeros of a shape (n, ...); where they would take more than half of the free memory, in a file without a
+    name.
 
     The system reads and writes the parts of the file that are looked at, so that what goes through the array part by
-    part needs little memory. The file is gone with the array, however the program ends.
-
-    Args:
-        shape: Shape of the array.
-        what: Its content, for the message.
-
-    Returns:
-        The zeros, (n, ...).
-
-    Raises:
-        InputError: The folder of temporary files has no room either.
+    part needs little memory. The file is gone with the array, however the program ends. `InputError` if the folder of
+    temporary files has no room either; `what` names the content.
     """
     needed = 8 * math.prod(shape)
     if 2 * needed <= free_memory():

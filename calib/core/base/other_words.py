@@ -56,11 +56,7 @@ def tables() -> dict[str, tuple[Words, ...]]:
 
 
 def hint_for(word: str, section: str) -> str:
-    """Return the hint for a word that another package uses, as the end of a message; empty without one.
-
-    Args:
-        section: Section of the table to search.
-    """
+    """Return the hint for a word of other packages, from a section of the table, to end a message; or nothing."""
     row = _row(word, section, str) or _row(word, section, _plain)
     return f"; here: {row.here.replace('`', '')}" if row else ""
 
@@ -83,8 +79,7 @@ def _plain(word: str) -> str:
 class HintedObject:
     """Base of objects that users hold: the error for an unknown attribute names the right one.
 
-    Attributes:
-        _other_words: Section of the table with what other packages call its attributes (class attribute).
+    `_other_words` is the section of the table with what other packages call its attributes.
     """
 
     _other_words: ClassVar[str] = ""

@@ -52,11 +52,9 @@ def note_input(state: os.stat_result) -> None:
 
 
 def signed(content: bytes, comment: str = "") -> bytes:
-    """Return a file with the line that says who wrote it.
+    """Return a file with the line that says who wrote it: JSON, which has no comments, XML of any kind, or lines.
 
-    Args:
-        content: The file: JSON, XML of any kind, or lines.
-        comment: Begin of a comment; if not given, that of XML or of tables. JSON has no comments.
+    A comment begins with `comment`; if that is not given, as in XML or in tables.
     """
     text = _OLD_LINES.sub(b"", content)
     if not text.endswith(b"\n"):
@@ -125,13 +123,9 @@ def manifest_of(folder: Path, files: Mapping[str, bytes], obsolete: Collection[s
 def require_replaceable(
     path: Path, content: bytes | None = None, *, inputs: Iterable[Path | str] = (), force: bool = False
 ) -> None:
-    """Raise `InputError` if a file should not be replaced.
+    """Raise `InputError` if a file, which may be missing, should not be replaced by `content` (if that is known).
 
-    Args:
-        path: The file, which may be missing.
-        content: Its new content, if that is known.
-        inputs: Further files from which the output was made, which the present command has not read.
-        force: Replace it all the same.
+    `inputs` are further files from which the output was made; `force` replaces it all the same.
     """
     if force or not path.is_file():
         return

@@ -33,11 +33,7 @@ _Work = tuple[Callable[..., Any], object, tuple[Any, ...], dict[str, Any]]
 
 
 class Processes(Executor):
-    """Processes that work while a result is awaited; lost ones are replaced.
-
-    Args:
-        jobs: Number of processes.
-    """
+    """A number of processes that work while a result is awaited; lost ones are replaced."""
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs

@@ -41,19 +41,14 @@ def _find_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, .
 
 
 def load_entry(group: str, name: str) -> Any:
-    """Return the object of an entry point, by its group and name.
-
-    Raises:
-        KeyError: There is no such entry point.
-    """
+    """Return the object of an entry point, by its group and name; `KeyError` if there is none."""
     return {entry.name: entry for entry in reversed(list_entry_points(group))}[name].load()
 
 
 def load_named(entry: EntryPoint, what: str) -> Any:
     """Return the object of an entry point; `what` names such objects in the message.
 
-    Raises:
-        DescriptionError: It cannot be loaded.
+    `DescriptionError` if it cannot be loaded.
     """
     try:
         return entry.load()
@@ -102,20 +97,15 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         """Add a class under a name; one that was registered before under this name is replaced.
 
         A class that worker processes need registers itself where it is defined: they import its module.
-
-        Raises:
-            DescriptionError: This package or another installed one has the name, or the class is not complete.
+        `DescriptionError` if an installed package has the name, or the class is not complete.
         """
         if name in self._built_in or name in self._entries():
             raise DescriptionError(f"{self.what} '{name}': there is one already; give another name")
         self._given[name] = self._check_class(name, given, f"({given!r})")
 
     def __getitem__(self, name: str) -> type[Class]:
-        """Return the class of a name.
-
-        Raises:
-            KeyError: No class has the name.
-            DescriptionError: The class of another package cannot be loaded, or is not complete.
+        """Return the class of a name, or raise `KeyError`; `DescriptionError` if that of another package is not
+        complete.
         """
         known = self._built_in.get(name) or self._given.get(name)
         if known is None:
@@ -136,11 +126,7 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
         return sum(1 for _ in self)
 
     def _entries(self) -> dict[str, EntryPoint]:
-        """Entry points of other packages by name.
-
-        Raises:
-            DescriptionError: Two packages give the same name, or one gives the name of a class of this package.
-        """
+        """Entry points of other packages by name; one that has a taken name is a `DescriptionError`."""
         entries: dict[str, EntryPoint] = {}
         for entry in list_entry_points(self.group):
             other = entries.setdefault(entry.name, entry)

@@ -108,12 +108,9 @@ def _discard(path: Path) -> None:
 
 
 def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
-    """Let a folder take the place of `path`; other entries of `path` stay in it.
+    """Let a new folder beside `path` take its place; other entries of `path` stay, but for `obsolete` names.
 
-    Args:
-        new: The new folder, without what others keep in `path`; what has its name afterwards may be removed.
-        path: The place, in the same parent folder.
-        obsolete: Names in `path` that do not stay.
+    The new folder is without what others keep in `path`; what has its name afterwards may be removed.
     """
     with _exclusive_in(path.parent):
         while True:
@@ -154,8 +151,7 @@ def _exclusive_in(parent: Path) -> Iterator[None]:
 def exchange(path: Path, other: Path) -> bool:
     """Exchange two names in one step; False where the system or the file system cannot.
 
-    Raises:
-        OSError: The system can exchange names, but one of these may not be moved.
+    `OSError` if the system can exchange names, but one of these may not be moved.
     """
     function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if function is None:

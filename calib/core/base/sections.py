@@ -176,11 +176,7 @@ class OwnLength:
     sigma: float | None = None
 
     def parameters(self, name: str, start: float | None = None) -> tuple[Parameter, ...]:
-        """Return the length as an unknown of an instrument; nothing if the length is known.
-
-        Args:
-            start: Nominal value where nothing is expected [m].
-        """
+        """Return the length as an unknown, `start` [m] where nothing is expected; nothing if it is known."""
         if not self.unknown:
             return ()
         nominal = self.value if self.sigma is not None or start is None else start
@@ -237,12 +233,8 @@ class _Loader(yaml.SafeLoader):
         document = super().compose_document()
         sizes: dict[int, int] = {}
         if document is not None and _size(document, sizes) - len(sizes) > _MOST_BY_ALIASES:
-            raise yaml.composer.ComposerError(
-                None,
-                None,
-                f"its YAML aliases (*NAME) expand to more than {_MOST_BY_ALIASES} entries",
-                document.start_mark,
-            )
+            problem = f"its YAML aliases (*NAME) expand to more than {_MOST_BY_ALIASES} entries"
+            raise yaml.composer.ComposerError(None, None, problem, document.start_mark)
         return document
 
 
@@ -285,23 +277,12 @@ for _tag in (yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _OPENCV_MATRIX):
 
 
 def read_yaml(path: Path | str, what: str = "a robot description (YAML) or a URDF") -> object:
-    """Read a YAML file.
-
-    Args:
-        what: Expected content, for messages.
-
-    Raises:
-        DescriptionError: Missing or unreadable file, or broken YAML; the message names the line.
-    """
+    """Read a YAML file, of content `what`; a `DescriptionError` names the line where it is broken."""
     return parse_yaml(read_text(path, what, DescriptionError), path)
 
 
 def parse_yaml(text: str, where: Path | str) -> Any:
-    """Return what YAML says.
-
-    Raises:
-        DescriptionError: Broken YAML, or aliases that stand for very much; the message names the line.
-    """
+    """Return what YAML says; a `DescriptionError` names the line of broken YAML, or of aliases for very much."""
     try:
         return yaml.load(text, Loader=_Loader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: such as a date that does not exist

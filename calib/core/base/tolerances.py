@@ -15,15 +15,9 @@ _ALIKE = 0.8
 
 
 def stated_tolerance(comments: Iterable[str], path: str, error: type[CalibrationError] = DataError) -> float | None:
-    """Return the smallest tolerance that comments state [m]; None where none does.
+    """Return the smallest tolerance that comments (without their #) of a file state [m]; None where none does.
 
-    Args:
-        comments: Comment lines without their #.
-        path: Their file, for messages.
-        error: Class of errors to raise.
-
-    Raises:
-        CalibrationError: It is not a positive length with a unit, or its key is misspelled.
+    One that is not a positive length with a unit, or whose key is misspelled, raises the `error`, a `CalibrationError`.
     """
     found = []
     for key, text in (match.groups() for match in map(_STATED.match, comments) if match):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 from calib.core.base.arrays import FloatArray
@@ -29,15 +30,9 @@ PER_SI: dict[Dimension, dict[str, float]] = {
     "number": {"1": 1.0},
 }
 _SIGNS = {"°": "deg", "°C": "degC", "\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um"}
-DISPLAY_UNIT: dict[Dimension, str] = {
+DISPLAY_UNIT: dict[Dimension, str] = {dimension: next(iter(units)) for dimension, units in PER_SI.items()} | {
     "length": "mm",
     "angle": "deg",
-    "pixel": "px",
-    "time": "s",
-    "temperature": "degC",
-    "mass": "kg",
-    "acceleration": "m/s^2",
-    "number": "1",
 }
 """Units of values in files and tables."""
 ERROR_UNIT: dict[Dimension, str] = DISPLAY_UNIT | {"angle": "mrad"}
@@ -50,18 +45,16 @@ _OTHERWISE = re.compile(
 )
 _UNITS = {*_SIGNS, *(unit for units in PER_SI.values() for unit in units if unit != "1")}
 _SMALLEST, _LARGEST = 1e-30, 1e9  # [SI]
+_NUMBER = r"\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|\.\d+"
+_FORM = re.compile(
+    rf"(?P<sign>-\s*)?(?:(?P<factor>{_NUMBER})\s*\*\s*)?(?P<name>\S(?:.*?\S)?)(?:\s+(?P<way>[-+])\s*(?P<offset>{_NUMBER}))?"
+)
 
 
 def per_si(unit: str | None, dimension: Dimension, where: str, error: type[Exception] = InputError) -> float:
-    """Return how many of `unit` make one SI unit; divide by it to get SI.
+    """Return how many of `unit` make one SI unit; divide by it to get SI. None or "" means SI.
 
-    Args:
-        unit: Unit name; None or "" means SI.
-        dimension: Dimension that the unit must have.
-        where: Thing that the unit belongs to, for the error message.
-
-    Raises:
-        InputError: Or the given `error`: the unit is not known, or has another dimension.
+    A unit that is unknown, or of another dimension, raises the `error`, an `InputError`; `where` names the thing.
     """
     units = PER_SI[dimension]
     if not unit:
@@ -135,6 +128,62 @@ def split_column(header: str) -> tuple[str, str | None]:
     return name, unit
 
 
+@dataclass(frozen=True)
+class MappedColumn:
+    """A column: the robot's value is factor * cell + offset.
+
+    Attributes:
+        name: Joint or coordinate that it holds.
+        unit: Unit of the offset, and of cells that state none.
+        factor: Factor with its sign.
+        offset: Offset in that unit.
+    """
+
+    name: str
+    unit: str | None
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def plain(self) -> bool:
+        """Whether the cell is the value."""
+        return self.factor == 1.0 and self.offset == 0.0
+
+    @property
+    def words(self) -> str:
+        """The value in words, such as `90 - 0.5 * the cell, in deg`."""
+        shift = f" {'+' if self.offset > 0 else '-'} {abs(self.offset):g}" if self.offset else ""
+        size = "" if abs(self.factor) == 1 else f"{abs(self.factor):g} * "
+        return f"{'-' if self.factor < 0 else ''}{size}the column{shift}{f' {self.unit}' if self.unit else ''}"
+
+
+def mapped_column(text: str) -> MappedColumn:
+    """Read what a column stands for: `name [unit]`, `-name [deg]`, `name + 90 [deg]`, `-0.5 * name - 3 [deg]`.
+
+    Signs before a number need a blank before them, since names may have them.
+
+    >>> mapped_column("-0.5 * elbow + 90 [deg]")
+    MappedColumn(name='elbow', unit='deg', factor=-0.5, offset=90.0)
+    """
+    name, unit = split_column(text)
+    match = _FORM.fullmatch(name.strip())
+    if match is None:
+        return MappedColumn(name, unit)
+    factor = float(match["factor"] or 1.0) * (-1.0 if match["sign"] else 1.0)
+    offset = float(match["offset"] or 0.0) * (-1.0 if match["way"] == "-" else 1.0)
+    return MappedColumn(match["name"], unit, factor, offset)
+
+
+def error_unit(dimension: Dimension) -> tuple[str, float]:
+    """Return the unit of errors in tables, and the factor to it from SI: mm and mrad, 1000."""
+    return ERROR_UNIT[dimension], error_scale(dimension)
+
+
+def display_unit(dimension: Dimension) -> tuple[str, float]:
+    """Return the unit of values in files and tables, such as mm and deg, and the factor to it from SI."""
+    return DISPLAY_UNIT[dimension], display_scale(dimension)
+
+
 def error_scale(dimension: Dimension) -> float:
     """Return the factor from SI to the unit of errors in tables: 1000 for lengths and angles, in mm and mrad."""
     return PER_SI[dimension][ERROR_UNIT[dimension]]
@@ -148,16 +197,10 @@ def display_scale(dimension: Dimension) -> float:
 def quantity_text(
     value: float, dimension: Dimension, form: str = ".3g", units: Mapping[Dimension, str] = ERROR_UNIT
 ) -> str:
-    """Return an SI value with its unit.
+    """Return an SI value with its unit, one of `ERROR_UNIT` or `DISPLAY_UNIT`.
 
     >>> quantity_text(0.000123456, "length"), quantity_text(0.5, "angle", ".1f", DISPLAY_UNIT)
     ('0.123 mm', '28.6 deg')
-
-    Args:
-        value: The value [SI].
-        dimension: Dimension of the value.
-        form: Format of the number.
-        units: The unit of each dimension: `ERROR_UNIT` or `DISPLAY_UNIT`.
     """
     unit = units[dimension]
     return f"{value * PER_SI[dimension][unit]:{form}} {unit}"

@@ -29,16 +29,10 @@ def warn_once(text: str) -> None:
 
 
 def count_noun(number: int, singular: str, plural: str | None = None) -> str:
-    """Return a number with its noun.
+    """Return a number with its noun; the plural is the singular with an s if it is not given.
 
-    Args:
-        number: The number.
-        singular: The noun for one.
-        plural: For any other number; the singular with an s if not given.
-
-    Examples:
-        >>> count_noun(1, "pose"), count_noun(3, "pose"), count_noun(2, "minimum", "minima")
-        ('1 pose', '3 poses', '2 minima')
+    >>> count_noun(1, "pose"), count_noun(3, "pose"), count_noun(2, "minimum", "minima")
+    ('1 pose', '3 poses', '2 minima')
     """
     return f"{number} {singular if number == 1 else plural or singular + 's'}"
 
@@ -49,16 +43,10 @@ def listing(names: Sequence[str], separator: str = ", ", shown: int = _LISTED) -
 
 
 def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> str:
-    """Return joints by their names, after the word `joint` unless their names begin with it.
+    """Return the first few joints by their names, after the word `joint` unless their names begin with it.
 
-    Args:
-        names: Names of the joints.
-        separator: Text between them.
-        shown: Largest number of joints to name.
-
-    Examples:
-        >>> joints_named("elbow"), joints_named("elbow", "wrist"), joints_named("joint_2")
-        ('joint elbow', 'joints elbow, wrist', 'joint_2')
+    >>> joints_named("elbow"), joints_named("elbow", "wrist"), joints_named("joint_2")
+    ('joint elbow', 'joints elbow, wrist', 'joint_2')
     """
     text = listing(names, separator, shown)
     if all(name.casefold().startswith("joint") for name in names):
@@ -69,9 +57,8 @@ def joints_named(*names: str, separator: str = ", ", shown: int = _LISTED) -> st
 def distinct_names(paths: Sequence[Path | str]) -> tuple[str, ...]:
     """Return the parts that differ in paths, without the folders with which all of them begin or end.
 
-    Examples:
-        >>> distinct_names(["/data/left/out", "/data/right/out"])
-        ('left', 'right')
+    >>> distinct_names(["/data/left/out", "/data/right/out"])
+    ('left', 'right')
     """
     parts = [Path(path).resolve().parts for path in paths]
     most = min(map(len, parts), default=1) - 1  # so that something is left of each path
@@ -91,14 +78,9 @@ def sentence(clause: str) -> str:
 
 
 def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) -> str:
-    """Return lines and tables as plain text.
+    """Return lines and tables as plain text, of this width in characters; `wrap` breaks lines of text there, too.
 
     Brackets and colons are printed as they are: `[mm]` is not markup, and `:name:` is not an emoji.
-
-    Args:
-        parts: Parts in the order of printing.
-        width: Width of the tables, in characters.
-        wrap: Whether lines of text are broken at this width too.
     """
     stream = io.StringIO()
     console = Console(file=stream, width=width, color_system=None, markup=False, emoji=False, highlight=False)
@@ -121,12 +103,9 @@ def _wrap_lines(text: str, width: int) -> str:
 def text_table(
     headers: Sequence[str], left: Collection[str] = ("",), title: str | None = None, *, plain: bool = False
 ) -> Table:
-    """Return an empty table for `plain_text`.
+    """Return an empty table for `plain_text`; columns with these `left` headers are aligned left, the others right.
 
-    Args:
-        headers: Headers of its columns.
-        left: Headers of columns that are aligned left; the others are aligned right.
-        plain: Whether it has no lines.
+    `plain`: it has no lines.
     """
     style: dict[str, Any] = {"box": None, "pad_edge": False} if plain else {}
     table = Table(title=title, title_justify="left", **style)

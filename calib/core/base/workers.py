@@ -44,16 +44,11 @@ def results_in_order(
     executor: Executor | None,
     progress: Progress | None = None,
 ) -> Iterator[Result]:
-    """Yield the function's results, first item first.
+    """Yield the function's results, first item first; this process computes them if no executor is given.
 
     At most `_AHEAD` items are with the executor at a time, so that its memory does not grow with their number. The
-    function holds the data that all pieces share.
-
-    Args:
-        function: Function of a module, so that other processes find it. Neither it nor the caller may change its input.
-        items: Its arguments.
-        executor: The executor; this process if not given.
-        progress: Told after each item.
+    function holds the data that all pieces share. It is a function of a module, so that other processes find it;
+    neither it nor the caller may change its input. `progress` is told after each item.
 
     Raises:
         ComputationError: The same piece of work was lost several times.
@@ -141,11 +136,7 @@ def _answer(function: Callable[[Item], Result], item: Item) -> tuple[bool, Any]:
 
 
 class Steps:
-    """Counts the steps of a long call: how many are done, of how many that are known so far.
-
-    Args:
-        progress: Called after each step; no call if not given.
-    """
+    """Counts the steps of a long call, done and known so far, and tells `progress` after each."""
 
     def __init__(self, progress: Progress | None = None) -> None:
         self._progress = progress

@@ -98,10 +98,7 @@ class Output:
     def check(self, *files: str | None, folders: Sequence[str | None] = (), names: Sequence[str] = ()) -> None:
         """Raise `InputError` before any work if an output could not be written; call it after all input was read.
 
-        Args:
-            files: Files to write, other than that of --json.
-            folders: Folders to write.
-            names: Known names of their files.
+        Outputs are files other than that of --json, and folders with the known names of their files.
         """
         targets = [file for file in (*files, self.json_target) if file not in (None, "-")]
         for file in targets:
@@ -150,12 +147,7 @@ def shared_options(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a command --quiet, --debug, --force (and --json) and an argument `output`; print errors in a single line.
 
-    Args:
-        json_output: Whether the command takes --json FILE.
-        forced: Effect of --force.
-
-    Returns:
-        A decorator. Its command raises `OneLineError` for every error, but with --debug the error itself.
+    The command raises `OneLineError` for every error, but with --debug the error itself. `forced`: effect of --force.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
@@ -287,9 +279,7 @@ def result_folder(robot: str, result: str | None) -> str:
 def with_values(robot: Robot, parameters: str | None, result: str | None) -> Robot:
     """Return the robot with the values of a parameter file or of a result folder, if one is given.
 
-    Raises:
-        InputError: Both are given, or a file cannot be read.
-        ComputationError: The verdict of the result is FAIL.
+    `InputError` if both are given, or a file cannot be read; `ComputationError` if the verdict of the result is FAIL.
     """
     if parameters and result:
         raise InputError("give --parameters or --result, not both")

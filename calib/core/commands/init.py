@@ -12,7 +12,7 @@ from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.files import write_files
 from calib.core.base.registry import load_entry, load_group
 from calib.core.base.sections import parse_yaml
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.commands.common import Output, shared_options
 from calib.core.commands.first_files import FirstFiles
 from calib.core.data.dh_files import read_dh
@@ -27,7 +27,7 @@ from calib.core.robots.urdf.denavit_hartenberg import CONVENTIONS, LAST_LINK, ur
 from calib.core.robots.urdf.text import UrdfText, parse_urdf, read_urdf
 
 _LENGTHS = "; ".join(
-    f"{name}: " + ", ".join(f"{key} {millimetres(value):g} mm" for key, value in template.lengths.items())
+    f"{name}: " + ", ".join(f"{key} {quantity_text(value, 'length', 'g')}" for key, value in template.lengths.items())
     for name, template in TEMPLATES.items()
 )
 _SOURCES: dict[str, FirstFiles] = dict(load_group("calib.first_descriptions", "first description"))
@@ -125,18 +125,19 @@ def command(
             f" {', '.join(f'--{name}' for name in _SOURCES)}"
         )
     out = out or next(f"{Path(source).stem}.yaml" for source in (urdf, dh, template, *others.values()) if source)
-    if template and target:
-        raise InputError("--target is for a URDF or a table; a template has its own targets")
-    if (template or others) and measure:
-        raise InputError("--measure is for a URDF or a table; others have their own targets")
-    if (board or camera) and measure != "camera":
-        raise InputError("--board and --camera are for --measure camera")
-    if arguments and not urdf:
-        raise InputError("--xacro is for a xacro file in place of the URDF")
-    if lengths and not (template or others):
-        raise InputError("--length is for a robot of --template, and not for a URDF or a table")
-    if convention and not dh:
-        raise InputError("--convention is for a table given with --dh")
+    for wrong, message in (
+        (template and target, "--target is for a URDF or a table; a template has its own targets"),
+        ((template or others) and measure, "--measure is for a URDF or a table; others have their own targets"),
+        ((board or camera) and measure != "camera", "--board and --camera are for --measure camera"),
+        (arguments and not urdf, "--xacro is for a xacro file in place of the URDF"),
+        (
+            lengths and not (template or others),
+            "--length is for a robot of --template, and not for a URDF or a table",
+        ),
+        (convention and not dh, "--convention is for a table given with --dh"),
+    ):
+        if wrong:
+            raise InputError(message)
     if Path(out).suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"{out}: the name of a robot description ends in .yaml")
     for name, file in others.items():
@@ -156,9 +157,8 @@ def command(
         text = read_urdf(str(urdf), arguments)
     how = MEASURES[measure] if measure else None
     sheet = Path(out).with_name(f"{Path(out).stem}_measurements.csv") if how and how.comments else None
-    to_print = (
-        Path(out).with_name(f"{Path(out).stem}_board.yaml") if measure == "camera" and not _is_file(board) else None
-    )
+    has_board = board is not None and Path(board).suffix.lower() in (".yaml", ".yml")
+    to_print = Path(out).with_name(f"{Path(out).stem}_board.yaml") if measure == "camera" and not has_board else None
     output.check(out, *(str(file) for file in (urdf_out, sheet, to_print) if file is not None))
     relative = os.path.relpath(Path(text.path).resolve(), Path(out).resolve().parent)
     described, remark = first_description(text, relative, target or (LAST_LINK if dh else None))
@@ -208,10 +208,6 @@ def _empty_sheet(robot: Robot, measure: Measure) -> str:
 def _load_unwritten(urdf: UrdfText, description: str) -> Robot:
     """The robot of a description that is not written yet, whose columns and reach are then known."""
     return build(validate_description(parse_yaml(description, urdf.path), urdf.path), urdf, urdf.path)
-
-
-def _is_file(board: str | None) -> bool:
-    return board is not None and Path(board).suffix.lower() in (".yaml", ".yml")
 
 
 def _write_template(name: str, given: Sequence[str], urdf: Path, description: Path, output: Output) -> None:

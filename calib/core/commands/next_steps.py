@@ -46,13 +46,9 @@ def words_of(typed: Mapping[str, Sequence[str]], names: Sequence[str]) -> list[s
 def advice_after_fit(
     fit: Fit, robot: str, data: Sequence[str], out: str, typed: Mapping[str, Sequence[str]], *, written: bool = True
 ) -> str:
-    """Return the meaning of the grade, and the next step.
+    """Return the meaning of the grade, and the next step, for ROBOT and DATA as typed.
 
-    Args:
-        robot, data: ROBOT and DATA, as typed.
-        out: Folder of the result.
-        typed: Options from `options_as_typed`.
-        written: Whether the result was written; if not, `out` is a proposal.
+    `typed` are options from `options_as_typed`. If the result was not `written`, its folder `out` is a proposal.
     """
     grade, step = judge(fit).grade, next_step(fit)
     noise = {name: typed[name] for name in NOISE if name in typed}

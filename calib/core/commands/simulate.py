@@ -92,11 +92,7 @@ def command(
 
 def _camera(robot: Robot) -> Pixel:
     """The one camera of a robot that looks at a board."""
-    cameras = [
-        instrument
-        for instrument in robot.instruments
-        if isinstance(instrument, Pixel) and instrument.board and instrument.image
-    ]
+    cameras = [each for each in robot.instruments if isinstance(each, Pixel) and each.board and each.image]
     if len(cameras) != 1:
         raise InputError(
             f"{robot.path}: has {count_noun(len(cameras), 'camera')} that can photograph; --photographs needs one"

@@ -83,8 +83,9 @@ def command(
     with output.working(f"judging {count_noun(measured.n_readings, 'reading')}"):
         acceptance = verify(promise, measured, same_setup=same_setup)
         figures, missing = iso_figures(acceptance.errors, np.random.default_rng(seed))
-    output.json({"robot": model.path, "seed": seed, **to_dict(acceptance, figures, missing)})
-    text = text_report(acceptance, figures, missing)
+    contains = calibrated.covariance.contains
+    output.json({"robot": model.path, "seed": seed, **to_dict(acceptance, figures, missing, contains)})
+    text = text_report(acceptance, figures, missing, contains)
     output.say(text)
     if html is not None:
         output.write(

@@ -27,13 +27,9 @@ _MARK = "convention:"
 
 
 def read_dh(path: Path | str, convention: str | None = None) -> DhTable:
-    """Read a table.
+    """Read a table; `convention` is needed if the file does not say it.
 
-    Args:
-        convention: `standard` or `modified`; if not given, the file must say it.
-
-    Raises:
-        DataError: A column, a cell or the convention is missing or wrong; the message names line and column.
+    A `DataError` names line and column of what is missing or wrong.
     """
     table = read_table(path)
     for name in table.names:
@@ -95,15 +91,14 @@ def _rows(table: Table) -> tuple[DhRow, ...]:
         name: table.column(name, dimension, gaps=True) for name, dimension in _NUMBERS.items() if name in table.names
     }
     rows = []
-    for k, line in enumerate(table.lines):
+    for k in range(len(table.rows)):
         kind = _kind(table, k)
         variable = {"revolute": "theta", "prismatic": "d", "fixed": ""}[kind]
         values = {}
         for name, column in given.items():
             if math.isnan(column[k]) and name not in (variable, "beta"):
                 raise DataError(
-                    f"{table.path}, line {line}, column '{name}': is empty; fill it in, with 0 if there is no such"
-                    " length or angle"
+                    f"{table.where(k, name)}: is empty; fill it in, with 0 if there is no such length or angle"
                 )
             values[name] = 0.0 if math.isnan(column[k]) else float(column[k])
         dimension = _NUMBERS[variable] if variable else None
@@ -111,10 +106,10 @@ def _rows(table: Table) -> tuple[DhRow, ...]:
         if variable and offset is not None:
             values[variable] += offset
         if (lower is None) != (upper is None) or (lower is not None and upper is not None and lower >= upper):
-            raise DataError(f"{table.path}, line {line}: the limits need a lower and a larger upper value")
+            raise DataError(f"{table.where(k)}: the limits need a lower and a larger upper value")
         if kind == "prismatic" and lower is None:
             raise DataError(
-                f"{table.path}, line {line}: a prismatic joint needs limits, without which no URDF is valid; add"
+                f"{table.where(k)}: a prismatic joint needs limits, without which no URDF is valid; add"
                 " columns lower and upper, such as '0 mm' and '250 mm'"
             )
         limits = {} if lower is None or upper is None else {"lower": lower, "upper": upper}
@@ -128,7 +123,7 @@ def _text(table: Table, name: str, k: int, default: str) -> str:
         return default
     text = table.text(name)[k]
     if not text:
-        raise DataError(f"{table.path}, line {table.lines[k]}, column '{name}': is empty; fill it in")
+        raise DataError(f"{table.where(k, name)}: is empty; fill it in")
     return text
 
 
@@ -137,13 +132,13 @@ def _kind(table: Table, k: int) -> Kind:
     for kind in KINDS:
         if _SHORT.get(text, text) == kind:
             return kind
-    raise DataError(f"{table.path}, line {table.lines[k]}: unknown type '{text}'{nearest(text, KINDS)}")
+    raise DataError(f"{table.where(k)}: unknown type '{text}'{nearest(text, KINDS)}")
 
 
 def _sign(table: Table, k: int) -> float:
     text = _text(table, "sign", k, "1")
     if text not in ("1", "+1", "-1", "1.0", "-1.0"):
-        raise DataError(f"{table.path}, line {table.lines[k]}: sign '{text}'; must be 1 or -1")
+        raise DataError(f"{table.where(k)}: sign '{text}'; must be 1 or -1")
     return float(text)
 
 
@@ -151,7 +146,7 @@ def _cell(table: Table, name: str, k: int, dimension: Dimension | None) -> float
     """A number with the unit of its cell or else of its column, in SI; None if there is none."""
     if name not in table.names or not table.text(name)[k]:
         return None
-    text, where = table.text(name)[k], f"{table.path}, line {table.lines[k]}, column '{name}'"
+    text, where = table.text(name)[k], table.where(k, name)
     if dimension is None:
         raise DataError(f"{where}: the row is fixed and has no {name}; leave the cell empty")
     if text[-1].isalpha():

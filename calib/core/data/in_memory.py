@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -17,7 +16,7 @@ from calib.core.data.joining import join_measurements
 from calib.core.data.measurement_files import read_measurements, sources
 from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements, states_by_order
 from calib.core.data.plan_files import read_pose_files
-from calib.core.data.tables import Source, is_columns
+from calib.core.data.tables import Source, is_source
 from calib.core.instruments.kind import Instrument, Readings
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.loading import RobotLike, as_robot
@@ -45,8 +44,8 @@ def as_poses(robot: RobotLike, poses: PosesLike, names: Sequence[str] | None = N
     if isinstance(poses, Poses):
         return poses
     robot = as_robot(robot)
-    if _is_table(poses):
-        return read_pose_files([cast(Source, poses)], robot)
+    if is_source(poses):
+        return read_pose_files([poses], robot)
     joints = joint_vector(robot, cast(ArrayLike, poses))
     if names is not None and len(names) != len(joints):
         raise DataError(f"names: {len(names)} for {len(joints)} poses; give one for each")
@@ -56,10 +55,6 @@ def as_poses(robot: RobotLike, poses: PosesLike, names: Sequence[str] | None = N
         raise DataError(f"names: {problem}")
     labels = tuple(f"pose {name}" for name in called)
     return Poses(joints, labels, called, _SOURCE, (), context=states, robot=robot)
-
-
-def _is_table(given: object) -> bool:
-    return isinstance(given, (str, Path)) or is_columns(given)
 
 
 def as_measurements(
@@ -112,13 +107,7 @@ def _as_measurements(robot: Robot, given: object) -> Measurements:
         return given
     if isinstance(given, (list, tuple)) and any(isinstance(part, Measurements) for part in given):
         return join_measurements([_as_measurements(robot, part) for part in given], robot)
-    several = isinstance(given, (list, tuple)) and len(given) > 0 and all(_is_table(source) for source in given)
-    if not _is_table(given) and not several:
-        raise InputError(
-            f"measurements: expected a file, a data frame or Measurements, not {type(given).__name__}; arrays become"
-            " measurements with calib.as_measurements(robot, q, xyz)"
-        )
-    return read_measurements(sources(cast(Source, given)), robot)
+    return read_measurements(sources(given), robot)
 
 
 def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measurements:

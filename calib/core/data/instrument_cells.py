@@ -38,15 +38,10 @@ def lacking_column(name: str, robot: Robot, table: Table) -> str:
 def readings_in(
     robot: Robot, instrument: Instrument, table: Table, rows: IntArray, *, own_lines: bool = False
 ) -> Readings:
-    """Return the readings of an instrument in the rows of a table.
+    """Return the readings of an instrument in the rows of a table, whose visits are `rows`, (n_table_rows,).
 
-    Args:
-        instrument: One of its instruments.
-        rows: Visit of each row, (n_table_rows,).
-        own_lines: Whether readings keep their file and line, because other files have the joint values.
-
-    Raises:
-        DataError: The message names file, line and column.
+    `own_lines`: readings keep their file and line, because other files have the joint values. A `DataError` names file,
+    line and column.
     """
     lacking = next((column.name for column in instrument.columns() if column.name not in table.names), None)
     if lacking is not None:
@@ -67,15 +62,14 @@ def readings_in(
             raise DataError(lacking_column(name, robot, table))
         every = table.text(name)
         texts[name] = [every[k] for k in some]
-    belongs, pairs, details = instrument.parse_texts(texts, [f"{table.path}, line {table.lines[k]}" for k in some])
+    belongs, pairs, details = instrument.parse_texts(texts, [table.where(k) for k in some])
     mine = np.array(belongs, dtype=bool)
     kept = some[mine]
     partly = np.argwhere(empty[kept])
     if len(partly):
-        k, column = partly[0][0], table.header(list(columns)[partly[0][1]])
+        k, column = partly[0][0], list(columns)[partly[0][1]]
         raise DataError(
-            f"{table.path}, line {table.lines[kept[k]]}, column '{column}': is empty; fill it in, or leave all cells of"
-            f" '{instrument.name}' empty"
+            f"{table.where(kept[k], column)}: is empty; fill it in, or leave all cells of '{instrument.name}' empty"
         )
     values = instrument.values({name: column[kept] for name, column in columns.items()})
     if not columns:  # it reads no numbers: one row of values serves all
@@ -110,18 +104,16 @@ def _is_labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArra
             raise DataError(f"{table.path}: no column '{column}', which tells {' and '.join(sharing)} apart")
         return np.ones(len(table.rows), dtype=bool)
     texts, names = table.text(column), [other.name for other in group]
-    for line, text in zip(table.lines, texts, strict=True):
+    for k, text in enumerate(texts):
         if text and text not in names:
-            where = f"{table.path}, line {line}, column '{table.header(column)}'"
-            raise DataError(f"{where}: no {column} '{text}'{nearest(text, names)}")
+            raise DataError(f"{table.where(k, column)}: no {column} '{text}'{nearest(text, names)}")
     return np.array([text == instrument.name for text in texts], dtype=bool)
 
 
 def setups_of(robot: Robot, table: Table) -> IntArray:
     """Return the number of the setup of each row, (n_table_rows,).
 
-    Raises:
-        DataError: The table has no such column, or a setup that the description does not name.
+    `DataError` if the table has no such column, or a setup that the description does not name.
     """
     names = list(robot.description.setups)
     if not names:
@@ -129,8 +121,8 @@ def setups_of(robot: Robot, table: Table) -> IntArray:
     if "setup" not in table.names:
         raise DataError(f"{table.path}: no column 'setup'; the description names the setups {', '.join(names)}")
     numbers = []
-    for line, text in zip(table.lines, table.text("setup"), strict=True):
-        require_known(text, names, f"{table.path}, line {line}, column 'setup': no setup", DataError)
+    for k, text in enumerate(table.text("setup")):
+        require_known(text, names, f"{table.where(k, 'setup')}: no setup", DataError)
         numbers.append(names.index(text))
     return np.array(numbers, dtype=np.intp)
 
@@ -151,8 +143,7 @@ def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatAr
     std = np.stack([_column_of_readings(instrument, table, kept, name, dimension) for name, dimension in names], axis=1)
     if np.any(std <= 0):
         k, c = np.argwhere(std <= 0)[0]
-        where = f"{table.path}, line {table.lines[kept[k]]}, column '{table.header(names[c][0])}'"
-        raise DataError(f"{where}: a standard deviation must be positive; correct it")
+        raise DataError(f"{table.where(kept[k], names[c][0])}: a standard deviation must be positive; correct it")
     correlation = np.tile(np.eye(len(names)), (len(kept), 1, 1))
     for name in correlated:
         i, j = correlation_columns(instrument)[name]
@@ -161,8 +152,7 @@ def _covariance(instrument: Instrument, table: Table, kept: IntArray) -> FloatAr
     if np.any(smallest <= 1e-9):
         k = int(np.argmin(smallest))
         raise DataError(
-            f"{table.path}, line {table.lines[kept[k]]}: the correlations of '{instrument.name}' contradict each other;"
-            " correct them"
+            f"{table.where(kept[k])}: the correlations of '{instrument.name}' contradict each other; correct them"
         )
     return std[:, :, None] * correlation * std[:, None, :]
 
@@ -173,9 +163,6 @@ def _column_of_readings(
     """A column in the rows in which an instrument read; in the others it may be empty."""
     values: FloatArray = table.column(name, dimension, gaps=True)[kept]
     if np.any(np.isnan(values)):
-        line = table.lines[kept[int(np.argmax(np.isnan(values)))]]
-        raise DataError(
-            f"{table.path}, line {line}, column '{table.header(name)}': is empty; fill it in, because this row has a"
-            f" reading of '{instrument.name}'"
-        )
+        where = table.where(kept[int(np.argmax(np.isnan(values)))], name)
+        raise DataError(f"{where}: is empty; fill it in, because this row has a reading of '{instrument.name}'")
     return values

@@ -19,9 +19,7 @@ def join_measurements(parts: Sequence[Measurements], robot: Robot) -> Measuremen
     """Put measurements one after another, as those of several files.
 
     If several number their poses from 1, later numbers continue the earlier ones, unless joint values repeat poses.
-
-    Raises:
-        DataError: A part is given twice, or is of a robot with other joints; or as `read_measurements`.
+    `DataError` if a part is given twice, or is of a robot with other joints; or as `read_measurements`.
     """
     for k, again in enumerate(parts):
         if any(again is other for other in parts[:k]):
@@ -60,8 +58,7 @@ def join_measurements(parts: Sequence[Measurements], robot: Robot) -> Measuremen
 def join_poses(parts: Sequence[Poses]) -> Poses:
     """Put the visits of several files one after another.
 
-    Raises:
-        DataError: One file states directions of approach, or of gravity, and another does not.
+    `DataError` if one file states directions of approach, or of gravity, and another does not.
     """
     if len(parts) == 1:
         return parts[0]
@@ -98,8 +95,7 @@ def join_poses(parts: Sequence[Poses]) -> Poses:
 def join_readings(parts: Sequence[Readings]) -> Readings:
     """Return the readings of one instrument in several files as one.
 
-    Raises:
-        DataError: Some files state standard deviations, and some do not.
+    `DataError` if some files state standard deviations, and some do not.
     """
     if len(parts) == 1:
         return parts[0]

@@ -36,11 +36,7 @@ def is_comment(line: str) -> bool:
 
 
 def cells_of(line: str, separator: str) -> tuple[str, ...]:
-    """Return the cells of a line of CSV.
-
-    Raises:
-        csv.Error: The line is not CSV.
-    """
+    """Return the cells of a line; one that is not CSV is a `csv.Error`."""
     if '"' in line or len(line) > csv.field_size_limit():
         return tuple(next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)))
     cells = line.split(separator)  # as csv does, in a third of the time
@@ -55,8 +51,7 @@ def separator_of(line: str) -> str:
 def header_line(path: str, lines: Sequence[str]) -> int:
     """Return which of the first lines of a file is the header, from 0; the first with cells, if none looks like one.
 
-    Raises:
-        DataError: Two lines look like a header, or numbers stand where the header should be.
+    `DataError` if two lines look like a header, or numbers stand where the header should be.
     """
     kept = [k for k, line in enumerate(lines[:_SEEN]) if line.strip().strip(SEPARATORS) and not is_comment(line)]
     widths = {k: _header_width(lines, kept[n : n + _ROWS]) for n, k in enumerate(kept)}
@@ -127,11 +122,7 @@ def _split_cells(line: str, separator: str) -> tuple[str, ...]:
 
 
 def is_workbook(path: Path | str) -> bool:
-    """Return whether a file is a workbook of Excel.
-
-    Raises:
-        DataError: The file is a spreadsheet of another kind.
-    """
+    """Return whether a file is a workbook of Excel; a spreadsheet of another kind is a `DataError`."""
     suffix = Path(path).suffix.lower()
     if suffix in _OTHER_SHEETS:
         raise DataError(f"{path}: spreadsheets are read as .xlsx or CSV; save it as one of these")
@@ -141,9 +132,8 @@ def is_workbook(path: Path | str) -> bool:
 def workbook_lines(path: Path | str) -> list[str]:
     """Return the only sheet with cells of a workbook as lines of CSV, a line for each of its rows.
 
-    Raises:
-        DataError: The package openpyxl is missing, the file is no workbook, several sheets have cells, or a formula
-            ended in an error.
+    `DataError` if openpyxl is missing, the file is no workbook, several sheets have cells, or a formula ended in an
+    error.
     """
     try:
         from openpyxl import load_workbook

@@ -105,8 +105,7 @@ def reading_columns(
 ) -> tuple[IntArray, dict[str, list[object]]]:
     """Return the visit of each line of the table, (n_lines,), and the readings, by instrument.
 
-    Raises:
-        DataError: Simulated readings of a touch without contact.
+    `DataError` for simulated readings of a touch without contact.
     """
     visits, line_of = _lines(robot, n_visits, all_readings)
     columns: dict[str, list[object]] = {}

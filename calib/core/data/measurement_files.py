@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from calib.core.data.measurements import Measurements, Poses, check_repeats, mea
 from calib.core.data.robot_tables import read_robot_table
 from calib.core.data.table_poses import poses_of_table
 from calib.core.data.table_writing import format_table
-from calib.core.data.tables import Source, Table, is_columns
+from calib.core.data.tables import Source, Table, is_source
 from calib.core.instruments.kind import Instrument, Readings
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
@@ -112,16 +112,14 @@ def read_measurements(
     return data.read_visits() if data.n_readings else data.subset(np.arange(0))
 
 
-def sources(given: Source | Sequence[Source]) -> list[Source]:
+def sources(given: object) -> list[Source]:
     """Return the given tables, one or several; anything else is an `InputError`."""
-    if isinstance(given, (str, Path)) or is_columns(given):
-        return [given]
-    several = list(cast(Sequence[Source], given))
+    several: list[Any] = list(given) if isinstance(given, (list, tuple)) and given else [given]
     for source in several:
-        if not isinstance(source, (str, Path)) and not is_columns(source):
+        if not is_source(source):
             raise InputError(
-                f"measurements: expected a file, a data frame, or several of them, not {type(source).__name__}; arrays"
-                " become measurements with calib.as_measurements(robot, q, xyz)"
+                "measurements: expected a file, a data frame, Measurements, or several of them, not"
+                f" {type(source).__name__}; arrays become measurements with calib.as_measurements(robot, q, xyz)"
             )
     return several
 
@@ -135,10 +133,8 @@ def _visits_by_pose(table: Table, poses: Poses) -> IntArray:
         )
     first = dict(zip(poses.names[::-1], range(len(poses) - 1, -1, -1), strict=True))
     rows = []
-    for line, name in zip(table.lines, table.text("pose"), strict=True):
-        require_known(
-            name, first, f"{table.path}, line {line}, column 'pose': no file with joint values has a pose", DataError
-        )
+    for k, name in enumerate(table.text("pose")):
+        require_known(name, first, f"{table.where(k, 'pose')}: no file with joint values has a pose", DataError)
         rows.append(first[name])
     return np.array(rows, dtype=np.intp)
 
@@ -175,14 +171,9 @@ def format_positions(
     comments: tuple[str, ...] = (),
     std: FloatArray | None = None,
 ) -> str:
-    """Return positions of targets as CSV text in mm and degrees.
+    """Return positions of targets (n_poses, n_targets, 3) [m] as CSV text in mm and degrees, after comments.
 
-    Args:
-        robot: Names joints and targets.
-        poses: Joint values, and the conditions that they state.
-        positions: (n_poses, n_targets, 3) [m].
-        comments: Lines to put first.
-        std: Standard deviation of each coordinate, (n_poses, n_targets, 3) [m], in columns `<target>_std_x` ...
+    Columns `<target>_std_x` ... have the standard deviations, `std`, of the same shape.
     """
     columns = poses.to_dict(robot)
     for suffix, numbers in (("", positions), ("std_", std)):
@@ -201,8 +192,7 @@ _TIME = "time"
 def join_by_pose_column(tables: Sequence[Table], robot: Robot) -> list[Table]:
     """Return tables that a column `pose` joins; it is added if the description asks to join by rows or by time.
 
-    Raises:
-        DataError: No table or several have joint values, numbers of rows differ, or there is no `time` near enough.
+    `DataError` if not one table has joint values, numbers of rows differ, or there is no `time` near enough.
     """
     how, joints = robot.description.join, set(robot.commanded_names)
     if how == "pose" or len(tables) == 1:

@@ -340,10 +340,8 @@ def states_by_order(robot: Robot, joints: FloatArray) -> dict[str, FloatArray]:
 def directions_of_motion(joints: FloatArray) -> FloatArray:
     """Return the direction in which each joint moved last before each pose: +1, -1, or 0 before its first motion.
 
-    A joint that stands still keeps its direction: that is what backlash depends on.
-
-    Args:
-        joints: Joint values in the order of measurement, (n_poses, n_actuated) [m or rad].
+    A joint that stands still keeps its direction: that is what backlash depends on. Joint values are in the order of
+    measurement, (n_poses, n_actuated) [m or rad].
     """
     steps = np.diff(joints, axis=0, prepend=joints[:1])
     direction = np.where(np.abs(steps) > _MOVED, np.sign(steps), 0.0)

@@ -90,8 +90,7 @@ def other_formats() -> list[OtherFormat]:
 def read_other(path: Path | str, renamed: Mapping[str, str]) -> list[str] | dict[str, Sequence[object]] | None:
     """Return the content of a file of another format, as lines of a table or columns by header; None for no format.
 
-    Raises:
-        DataError: The format cannot be read: the message says which it is, and what to do.
+    A format that cannot be read is a `DataError`, which says what it is and what to do.
     """
     if not Path(path).is_file():
         return None

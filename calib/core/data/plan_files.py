@@ -33,20 +33,14 @@ def read_plan(path: Path | str, robot: Robot) -> Poses:
     """Read joint values and the planned readings there: instruments, setup, and touched things.
 
     The column `instrument` names one, or several joined by `+`; an empty cell, or no such column, means all of them.
-    Touched things are in the columns of the instruments that touch; without such a column they are not known.
-
-    Raises:
-        DataError: The message names file, line and column.
+    Touched things are in the columns of the instruments that touch; without such a column they are not known. A
+    `DataError` names file, line and column.
     """
     return plan_of_table(read_robot_table(path, robot), robot)
 
 
 def plan_of_table(table: Table, robot: Robot) -> Poses:
-    """Return the plan in a table; see `read_plan`.
-
-    Raises:
-        DataError: The message names file, line and column.
-    """
+    """Return the plan in a table; see `read_plan`."""
     used = {column for instrument in robot.instruments for column in columns_in(instrument, table)}
     poses = poses_of_table(table, robot, used)
     reading = _reading(robot, table)
@@ -63,12 +57,8 @@ def plan_of_table(table: Table, robot: Robot) -> Poses:
 def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None = None) -> Poses:
     """Read poses; the result is `Measurements` if every row has a reading, or if rows repeat a pose.
 
-    Args:
-        paths: The file; several are measurements that belong together.
-        table: Content of a single file, if it was read before.
-
-    Raises:
-        DataError: The file is not valid, or poses that are not measured have the same name.
+    Several files are measurements that belong together; `table` is the content of a single one, if it was read before.
+    `DataError` if a file is not valid, or poses that are not measured have the same name.
     """
     if len(paths) > 1:
         return read_measurements(paths, robot)
@@ -112,7 +102,7 @@ def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:
     for k, cell in enumerate(_instrument_cells(robot, table)):
         named = [name.strip() for name in cell.split(TOGETHER)] if cell else names
         for name in named:
-            lacks = f"{table.path}, line {table.lines[k]}, column '{INSTRUMENT}': no instrument"
+            lacks = f"{table.where(k, INSTRUMENT)}: no instrument"
             require_known(name, names, lacks, DataError)
         for name in names:
             result[name][k] = name in named
@@ -137,7 +127,7 @@ def _looks(
         visits, pairs, details = np.repeat(rows, n_looks), np.tile(pairs, len(rows)), np.tile(details, (len(rows), 1))
     elif set(instrument.text_columns()) <= set(table.names):
         texts = {name: [table.text(name)[k] for k in rows] for name in instrument.text_columns()}
-        belongs, pairs, details = instrument.parse_texts(texts, [f"{table.path}, line {table.lines[k]}" for k in rows])
+        belongs, pairs, details = instrument.parse_texts(texts, [table.where(k) for k in rows])
         mine = np.array(belongs, dtype=bool)
         _require_planned_readings(robot, instrument, table, rows[~mine])
         visits, pairs, details = rows[mine], pairs[mine], details[mine]
@@ -153,6 +143,6 @@ def _require_planned_readings(robot: Robot, instrument: Instrument, table: Table
     bad = next((int(k) for k in without_target if cells and cells[k]), None)
     if bad is not None:
         raise DataError(
-            f"{table.path}, line {table.lines[bad]}, column '{instrument.text_columns()[0]}': is empty, but"
+            f"{table.where(bad, instrument.text_columns()[0])}: is empty, but"
             f" '{instrument.name}' is to touch something there; say what"
         )

@@ -56,9 +56,7 @@ def _may_have_neighbours(cells: FloatArray) -> BoolArray:
 def repeated_poses(joints: FloatArray, by_name: IntArray) -> list[IntArray]:
     """Return groups of rows that repeat one pose, by its name or by its joint values, in the order of the rows.
 
-    Args:
-        joints: Joint values, (n, n_actuated) [m or rad].
-        by_name: A number for each row, the same for those of one pose name, (n,).
+    Joint values are (n, n_actuated) [m or rad]; `by_name` is a number for each row, equal for equal names, (n,).
     """
     order, starts = _rows_by_pose(joints, by_name)
     return np.split(order, starts[1:])
@@ -82,26 +80,18 @@ def _rows_by_pose(joints: FloatArray, by_name: IntArray) -> tuple[IntArray, IntA
 
 
 def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[IntArray]:
-    """Return the groups of `repeated_poses` in random order.
-
-    Args:
-        joints: Joint values, (n, n_actuated) [m or rad].
-        by_name: A number for each row, the same for those of one pose name, (n,).
-    """
+    """Return the groups of `repeated_poses` of joints (n, n_actuated) and numbers `by_name` (n,), in random order."""
     groups = repeated_poses(joints, by_name)
     return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]
 
 
 def is_apart(joints: FloatArray, used: FloatArray) -> BoolArray:
-    """Return a mask of the poses that lie apart from the poses used, (n,).
+    """Return a mask of the poses (n, n_actuated) that lie apart from the poses used (n_used, n_actuated) [m or rad],
+    (n,).
 
     Such a pose is farther from its nearest used pose than 95 in 100 used poses are from their nearest neighbours.
     Distances are in joint space, in units of each joint's standard deviation over the poses used; repeats of a pose
     count once. Of poses drawn like those used, about one in 20 lies apart. With fewer than 19 poses used, none does.
-
-    Args:
-        joints: The poses, (n, n_actuated) [m or rad].
-        used: Poses used, (n_used, n_actuated) [m or rad].
     """
     first = np.unique(pose_labels(used), return_index=True)[1]
     unit = np.maximum(np.std(used, axis=0), SAME_JOINTS)
@@ -114,17 +104,11 @@ def is_apart(joints: FloatArray, used: FloatArray) -> BoolArray:
 
 
 def are_drawn_alike(joints: FloatArray, used: FloatArray) -> bool:
-    """Return whether poses lie among the poses used as if both were drawn together.
+    """Return whether poses (m, n_actuated) lie among those used (n, n_actuated) as if both were drawn together.
 
     If m poses and n used poses are drawn alike, the nearest neighbour of one of the m is another of the m with a chance
     of (m - 1) / (m + n - 1). If this holds for more poses than chance explains, the poses are somewhere else, or crowd
-    together. Distances are those of `is_apart`. Poses that were used count as drawn alike.
-
-    Args:
-        joints: The poses, (m, n_actuated) [m or rad].
-        used: Poses used, (n, n_actuated) [m or rad].
-
-    Reference: schilling1986.
+    together. Distances are those of `is_apart`. Poses that were used count as drawn alike. Reference: schilling1986.
     """
     new, old = (poses[np.unique(pose_labels(poses), return_index=True)[1]] for poses in (joints, used))
     if len(new) < 2 or len(old) == 0:

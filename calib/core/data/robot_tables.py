@@ -15,8 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from calib.core.base.errors import DataError, nearest
-from calib.core.base.mapped_columns import MappedColumn
-from calib.core.base.units import DISPLAY_UNIT, PER_SI
+from calib.core.base.units import DISPLAY_UNIT, PER_SI, MappedColumn
 from calib.core.base.words import warn_once
 from calib.core.data.tables import Source, Table, read_table
 from calib.core.robots.robot import Robot
@@ -30,15 +29,9 @@ _UNIT_WRITTEN = re.compile(rf"(?P<name>.*[^\s_])(?:\s*\((?P<unit>[^()]+)\)|[\s_]
 
 
 def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | None = None) -> Table:
-    """Read a table (`calib.core.data.tables.read_table`), its columns called as the robot's.
+    """Read a table as `calib.core.data.tables.read_table` does, its columns called as the robot's.
 
-    Args:
-        source: The file or the table in memory.
-        growing: Lines so far of a file that is still written.
-
-    Raises:
-        DataError: What `read_table` raises; a column that would be guessed has no unit, or one that is not written as
-            units are; or blanks separate the columns.
+    `DataError` also if a guessed column has no readable unit, or blanks separate the columns.
     """
     table = read_table(source, robot.description.columns, growing=growing)
     if len(table.names) == 1 and table.names[0] not in robot.joint_names and len(table.rows[0][0].split()) > 1:

@@ -77,9 +77,8 @@ def is_bag(path: Path | str) -> bool:
 def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[str, ...]]:
     """Return header and cells of each column of a bag's table, and remarks.
 
-    Raises:
-        DataError: The package rosbags is missing, the bag cannot be read, has no joint states or no measurements, or
-            the robot stood still at no measurement.
+    `DataError` if rosbags is missing, the bag cannot be read or lacks joint states or measurements, or the robot never
+    stood still at one.
     """
     joints, places = _series(path)
     if not joints:
@@ -141,10 +140,8 @@ def _series(path: Path | str) -> tuple[dict[str, _Series], dict[str, _Series]]:
 def messages_of_bag(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str, float, Any]]:
     """Yield topic, type, time [s] and message of all messages of some types that have a header.
 
-    The time is the one of the header, or of the recording where the header has none.
-
-    Raises:
-        DataError: The package rosbags is missing, or the bag cannot be read.
+    The time is the one of the header, or of the recording where the header has none. `DataError` if rosbags is missing,
+    or the bag cannot be read.
     """
     for topic, kind, recorded, message in _messages(path, kinds):
         stamp = message.header.stamp.sec + message.header.stamp.nanosec / 1e9
@@ -154,8 +151,7 @@ def messages_of_bag(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[st
 def joints_of_bag(path: Path | str, times: FloatArray) -> tuple[list[str], FloatArray, BoolArray]:
     """Return names of joints, their values at times (n,) [s], (n, n_joints), and whether the robot stood still, (n,).
 
-    Raises:
-        DataError: The package rosbags is missing, the bag cannot be read, or a joint is in two topics.
+    `DataError` if rosbags is missing, the bag cannot be read, or a joint is in two topics.
     """
     joints, _ = _series(path)
     stamped = all(stamp > 0 for series in joints.values() for stamp in series.stamps)

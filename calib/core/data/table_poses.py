@@ -10,6 +10,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
 from calib.core.base.tolerances import stated_tolerance
+from calib.core.base.units import DISPLAY_UNIT, quantity_text
 from calib.core.data.instrument_cells import labels_of_rows, lacking_column, names_of_poses, setups_of
 from calib.core.data.measurement_columns import APPROACH
 from calib.core.data.measurements import Poses, states_by_order
@@ -24,38 +25,24 @@ from calib.core.robots.terms.terms import condition_columns
 def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -> Poses:
     """Return the visits of a table; where it does not name its poses, they are counted on from `first`.
 
-    Args:
-        robot: Robot with these joints.
-        used: Columns that something is read from, other than joints and conditions of a visit.
-        first: Visits before the first row.
-
-    Raises:
-        DataError: The message names file, line and column.
+    `used` are columns that something else is read from. A `DataError` names file, line and column.
     """
     setups = setups_of(robot, table) if robot.description.setups and "setup" in table.names else None
     joints, sensed = _joints_of_table(table, robot, setups, robot.joint_names)
     joints.flags.writeable = False  # so its holders need no copy
     called = names_of_poses(table)
     if called is not None and "" in called:
-        line = table.lines[called.index("")]
-        raise DataError(f"{table.path}, line {line}, column 'pose': is empty; name the pose, or leave the column out")
+        where = table.where(called.index(""), "pose")
+        raise DataError(f"{where}: is empty; name the pose, or leave the column out")
     names = tuple(map(str, range(first + 1, first + 1 + len(table.rows)))) if called is None else called
     context, approach = conditions_of_table(table, robot, joints)
     directions = {f"{APPROACH}{name}" for name in robot.joint_names}
     used = used | sensed | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | directions
     ignored = tuple(name for name in table.names if name not in used)
     poses = Poses(
-        joints,
-        tuple(labels_of_rows(table, called)),
-        names,
-        table.path,
-        ignored,
-        comments=table.comments,
-        context=context,
-        approach=approach,
-        setups=setups,
-        robot=robot,
-    )
+        joints, tuple(labels_of_rows(table, called)), names, table.path, ignored,
+        comments=table.comments, context=context, approach=approach, setups=setups, robot=robot,
+    )  # fmt: skip
     _check_gravity(poses, robot, table)
     stated_tolerance(table.comments, table.path)
     return poses
@@ -66,23 +53,19 @@ def _check_gravity(poses: Poses, robot: Robot, table: Table) -> None:
     angles = contradiction_angles(robot.description, robot.nominal, poses.joints, poses.conditions)
     if not np.all(np.isnan(angles)):
         k = int(np.nanargmax(angles))
+        off = quantity_text(angles[k], "angle", ".0f", DISPLAY_UNIT)
         raise DataError(
-            f"{table.path}, line {table.lines[k]}: the direction of gravity that was read is"
-            f" {np.degrees(angles[k]):.0f} deg from the one that {robot.path} states; check gravity.down, gravity.frame"
-            " and the signs (an accelerometer at rest reads upwards), or leave gravity.down out"
+            f"{table.where(k)}: the direction of gravity that was read is {off} from the one that"
+            f" {robot.path} states; check gravity.down, gravity.frame and the signs (an accelerometer at rest reads"
+            " upwards), or leave gravity.down out"
         )
 
 
 def stands_of_table(table: Table, robot: Robot, setups: IntArray | None) -> dict[str, FloatArray]:
     """Return the joint values that inclinometers read, where the other joints are unknown, (n,) [rad] by name.
 
-    Args:
-        table: The table, with columns of these joints or of their sensors.
-        robot: Robot with these joints.
-        setups: The setup of each row, (n,); None: the first.
-
-    Raises:
-        DataError: No column states the values, or only a sensor whose readings depend on unknowns does.
+    `setups` has the setup of each row, (n,); None: the first. `DataError` if no column states the values, or only a
+    sensor whose readings depend on unknowns does.
     """
     mechanism, turning = robot.nominal, [n for n in robot.commanded_names if robot.nominal.dimensions[n] == "angle"]
     for sensor, section in robot.description.inclinometers.items():
@@ -146,39 +129,36 @@ def _check_tilts(robot: Robot, sensor: str, tilts: FloatArray, table: Table) -> 
     lost = np.flatnonzero(np.isnan(tilts).any(axis=1))
     if len(lost):
         raise DataError(
-            f"{table.path}, line {table.lines[lost[0]]}: {' and '.join(section.joints)} have no values at"
+            f"{table.where(lost[0])}: {' and '.join(section.joints)} have no values at"
             f" which '{sensor}' reads this direction of gravity; check the axes of {section.frame}, and its signs"
         )
     lower, upper = robot.urdf.limits(section.joints)
     beyond = (tilts < lower) | (tilts > upper)
     if np.any(beyond):
         k, j = np.argwhere(beyond)[0]
+        read, low, high = (quantity_text(x, "angle", ".2f", DISPLAY_UNIT) for x in (tilts[k, j], lower[j], upper[j]))
         raise DataError(
-            f"{table.path}, line {table.lines[k]}: what '{sensor}' reads turns {section.joints[j]} by"
-            f" {np.degrees(tilts[k, j]):.2f} deg, and its limits in the URDF are {np.degrees(lower[j]):.2f} and"
-            f" {np.degrees(upper[j]):.2f} deg; check signs (an accelerometer at rest reads upwards), the axes of"
-            f" {section.frame}, units (rad without [deg]), and these limits"
+            f"{table.where(k)}: what '{sensor}' reads turns {section.joints[j]} by {read}, and its"
+            f" limits in the URDF are {low} and {high}; check signs (an accelerometer at rest reads upwards), the axes"
+            f" of {section.frame}, units (rad without [deg]), and these limits"
         )
 
 
 def conditions_of_table(
     table: Table, robot: Robot, joints: FloatArray | None = None
 ) -> tuple[dict[str, FloatArray], FloatArray | None]:
-    """Return the conditions of the robot in each row of a table.
+    """Return the conditions of the robot in each row of a table, and the directions of approach.
 
     Args:
-        robot: Robot whose terms name their inputs.
         joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then their
             order tells nothing.
 
     Returns:
         Columns that terms depend on, and those of gravity where the description speaks of it, (n,) [SI] by name, NaN
-        where empty; directions of approach, 0 for joints without a column, (n, n_actuated), None where no joint has
-        one.
+        where empty; directions, 0 for joints without a column, (n, n_actuated), None where no joint has one.
 
     Raises:
-        DataError: Cells that are no numbers, columns that say no direction of gravity, or a direction of approach of a
-            joint whose name is misspelt.
+        DataError: A cell, a direction of gravity or the name of a joint is wrong.
     """
     dimensions, with_gravity = condition_columns(robot.terms), robot.description.gravity is not None
     keys = [key for key in dimensions if key in table.names and (with_gravity or key not in GRAVITY_COLUMNS)]

@@ -14,7 +14,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TypeGuard, cast
+from typing import Any, Protocol, SupportsIndex, TypeGuard, cast
 
 import numpy as np
 
@@ -22,9 +22,8 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, nearest_column
 from calib.core.base.files import read_text
 from calib.core.base.letters import unseen, visible
-from calib.core.base.mapped_columns import MappedColumn, mapped_column
 from calib.core.base.own_files import is_mark
-from calib.core.base.units import Dimension, per_si, split_column
+from calib.core.base.units import Dimension, MappedColumn, mapped_column, per_si, split_column
 from calib.core.base.words import warn_once
 from calib.core.data.layouts import (
     COMMENTS,
@@ -72,6 +71,11 @@ def is_columns(source: object) -> TypeGuard[Columns]:
     return all(hasattr(type(source), name) for name in ("columns", "head", "__getitem__"))
 
 
+def is_source(source: object) -> TypeGuard[Source]:
+    """Return whether this is a file or a table in memory."""
+    return isinstance(source, (str, Path)) or is_columns(source)
+
+
 @dataclass(frozen=True)
 class Table:
     """A CSV file as text.
@@ -108,15 +112,10 @@ class Table:
         return f"{self.path}: no column '{name}'{hint}"
 
     def column(self, name: str, dimension: Dimension | None, *, gaps: bool = False) -> FloatArray:
-        """Return a column of numbers in SI, (n_rows,).
+        """Return a column of numbers of a dimension (None: pure numbers) in SI, (n_rows,).
 
-        Args:
-            dimension: Its dimension; None: pure numbers.
-            gaps: Whether cells may be empty; these are NaN.
-
-        Raises:
-            DataError: No such column, wrong unit, a cell that is not a finite number, or decimal commas mixed with
-                points.
+        With `gaps`, cells may be empty, which gives NaN. `DataError` if there is no such column, its unit is wrong, a
+        cell is no finite number, or decimal commas are mixed with points.
         """
         if name not in self.names:
             raise DataError(self.lacks(name))
@@ -184,18 +183,18 @@ class Table:
                 f" {self.lines[point]}; write all decimals of a column one way"
             )
 
+    def where(self, row: SupportsIndex, name: str = "") -> str:
+        """Return the place of a row, or of its cell in a column, for messages."""
+        return f"{self.path}, line {self.lines[row]}" + (f", column '{self.header(name)}'" if name else "")
+
     def _where(self, row: int, index: int) -> str:
-        return f"{self.path}, line {self.lines[row]}, column '{self.header(self.names[index])}'"
+        return self.where(row, self.names[index])
 
 
 def read_number(cell: str, where: str, separator: str = ",") -> float:
-    """Read the number in a cell.
+    """Read the number in a cell; an empty one, no number, or one that is not finite, is a `DataError`.
 
-    Args:
-        separator: Separator of cells; if that is not the comma, the comma may be the decimal mark.
-
-    Raises:
-        DataError: The cell is empty, no number, or not finite.
+    Where the separator of cells is not the comma, the comma may be the decimal mark.
     """
     text = cell.strip()
     if not text:
@@ -218,8 +217,7 @@ def read_number(cell: str, where: str, separator: str = ",") -> float:
 def check_plausible(value: float, dimension: Dimension, where: str, place: str) -> None:
     """Raise `DataError` if a number without a unit is so large that it cannot be SI.
 
-    Args:
-        place: Place for the unit, such as `into the header`.
+    `place` is where to write the unit, such as `into the header`.
     """
     if dimension not in _SUSPICIOUS:
         return
@@ -245,7 +243,7 @@ def read_table(
         growing: Lines so far of a file that is still written.
 
     Raises:
-        DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
+        DataError: Unreadable file, no header or rows, duplicate columns, rows of the wrong length.
     """
     if is_columns(path):
         columns = [(name, list(path[name])) for name in unique_headers(path)]

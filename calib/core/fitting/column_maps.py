@@ -22,8 +22,7 @@ from itertools import combinations, islice, permutations, product
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.mapped_columns import MappedColumn, mapped_column
-from calib.core.base.units import per_si
+from calib.core.base.units import MappedColumn, mapped_column, per_si
 from calib.core.base.words import joints_named
 from calib.core.data.measurements import Measurements
 from calib.core.numerics import linalg

@@ -24,6 +24,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.sections import PositiveLength, Section, read_yaml
+from calib.core.base.units import quantity_text
 
 BoardKind = Literal["charuco", "chessboard", "circles", "dots", "aruco", "apriltag"]
 BOARD_KINDS: tuple[BoardKind, ...] = ("charuco", "chessboard", "circles", "dots", "aruco", "apriltag")
@@ -35,14 +36,6 @@ _NEEDS: dict[BoardKind, tuple[str, ...]] = {
     "dots": ("spacing",),
     "aruco": ("marker", "gap", "dictionary"),
     "apriltag": ("marker", "gap", "dictionary"),
-}
-_SHORT: dict[str, tuple[str, ...]] = {
-    "charuco": ("columns", "rows", "square", "marker", "dictionary"),
-    "chessboard": ("columns", "rows", "square"),
-    "circles": ("columns", "rows", "spacing"),
-    "dots": ("columns", "rows", "spacing"),
-    "aruco": ("columns", "rows", "marker", "gap", "dictionary"),
-    "apriltag": ("columns", "rows", "marker", "gap", "dictionary"),
 }
 _MOST = 100
 
@@ -119,15 +112,11 @@ class Board(Section):
     @property
     def size(self) -> tuple[float, float]:
         """Width and height of the printed pattern [m]."""
+        step = self.square or self.spacing or 0.0
         if self.kind in ("charuco", "chessboard"):
-            side = self.square or 0.0
-            return self.columns * side, self.rows * side
-        if self.kind == "circles":
-            step = self.spacing or 0.0
-            return (2 * self.columns + 1) * step, (self.rows + 1) * step
-        if self.kind == "dots":
-            step = self.spacing or 0.0
-            return (self.columns + 1) * step, (self.rows + 1) * step
+            return self.columns * step, self.rows * step
+        if self.kind in ("circles", "dots"):
+            return ((2 if self.kind == "circles" else 1) * self.columns + 1) * step, (self.rows + 1) * step
         pitch, gap = (self.marker or 0.0) + (self.gap or 0.0), self.gap or 0.0
         return self.columns * pitch - gap, self.rows * pitch - gap
 
@@ -143,18 +132,7 @@ class Board(Section):
 
     def points(self) -> dict[str, tuple[float, float, float]]:
         """Return the position of each point in the board's frame, by name [m]."""
-        if self.kind in ("charuco", "chessboard"):
-            side = self.square or 0.0
-            places = [((i + 1) * side, (j + 1) * side) for j in range(self.rows - 1) for i in range(self.columns - 1)]
-        elif self.kind == "dots":
-            step = self.spacing or 0.0
-            places = [((i + 1) * step, (j + 1) * step) for j in range(self.rows) for i in range(self.columns)]
-        elif self.kind == "circles":
-            step = self.spacing or 0.0
-            places = [
-                ((2 * i + j % 2 + 1) * step, (j + 1) * step) for j in range(self.rows) for i in range(self.columns)
-            ]
-        else:
+        if self.kind in ("aruco", "apriltag"):
             side, pitch = self.marker or 0.0, (self.marker or 0.0) + (self.gap or 0.0)
             around = ((0.0, 0.0), (side, 0.0), (side, side), (0.0, side))
             return {
@@ -163,12 +141,16 @@ class Board(Section):
                 for i in range(self.columns)
                 for k, (dx, dy) in enumerate(around)
             }
-        return {f"c{k}": (x, y, 0.0) for k, (x, y) in enumerate(places)}
+        step, between = self.square or self.spacing or 0.0, int(self.kind in ("charuco", "chessboard"))
+        every = [(i, j) for j in range(self.rows - between) for i in range(self.columns - between)]
+        if self.kind == "circles":
+            every = [(2 * i + j % 2, j) for i, j in every]
+        return {f"c{k}": ((i + 1) * step, (j + 1) * step, 0.0) for k, (i, j) in enumerate(every)}
 
     def __str__(self) -> str:
         shapes = {"circles": "dots", "dots": "dots", "aruco": "markers", "apriltag": "tags"}.get(self.kind, "squares")
         numbers = [
-            f"{key} {1e3 * value:g} mm"
+            f"{key} {quantity_text(value, 'length', 'g')}"
             for key in ("square", "marker", "gap", "spacing")
             if (value := getattr(self, key)) is not None
         ]
@@ -195,15 +177,9 @@ def validate_board(content: object, where: str) -> Board:
 
 
 def read_board(text: str, where: str, folder: Path | None = None) -> Board:
-    """Return the board of a YAML file, or of its short form, such as chessboard:9x6:25mm.
+    """Return the board of a YAML file in `folder`, or of its short form, such as chessboard:9x6:25mm.
 
-    Args:
-        text: Name of the file, or the short form.
-        where: For messages on the short form.
-        folder: Folder of the file, if it is not the current one.
-
-    Raises:
-        DescriptionError: The text is no file and no short form, or a key is missing or wrong.
+    `DescriptionError` if the text is no file and no short form (`where` names it), or a key is missing or wrong.
     """
     kind, colon, rest = text.partition(":")
     path = (folder or Path()) / text
@@ -220,15 +196,15 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
         return validate_board(inner if isinstance(inner, dict) else content, str(path))
     if not colon and kind not in BOARD_KINDS:
         raise DescriptionError(f"{where}: is neither a YAML file nor a kind of board{nearest(kind, BOARD_KINDS)}")
-    if kind not in _SHORT:
+    needs = next((keys for known, keys in _NEEDS.items() if known == kind), None)
+    if needs is None:
         raise DescriptionError(f"{where}: unknown kind of board '{kind}'{nearest(kind, BOARD_KINDS)}")
-    keys = _SHORT[kind]
     counts, *values = rest.split(":")
     columns, times, rows = counts.partition("x")
-    optional = kind == "apriltag" and len(values) == len(keys) - 3
-    if not (times and columns.isdigit() and rows.isdigit()) or not (len(values) == len(keys) - 2 or optional):
-        raise DescriptionError(f"{where}: write it as {kind}:COLUMNSxROWS:{':'.join(key.upper() for key in keys[2:])}")
-    sizes = dict(zip(keys[2:], values, strict=False))
+    optional = kind == "apriltag" and len(values) == len(needs) - 1
+    if not (times and columns.isdigit() and rows.isdigit()) or not (len(values) == len(needs) or optional):
+        raise DescriptionError(f"{where}: write it as {kind}:COLUMNSxROWS:{':'.join(key.upper() for key in needs)}")
+    sizes = dict(zip(needs, values, strict=False))
     return validate_board({"kind": kind, "columns": int(columns), "rows": int(rows)} | sizes, where)
 
 

@@ -154,25 +154,18 @@ def plane_errors(points: FloatArray, seen: FloatArray) -> tuple[FloatArray, Floa
 
 
 def view_poses(points: FloatArray, seen: FloatArray, view: IntArray, n_views: int) -> tuple[FloatArray, FloatArray]:
-    """Return the pose of the body in each view and its error per ray; inf where it was not solved.
+    """Return the pose of the body in each view, (n_views, 4, 4) [m], and its root mean square error of m, (n_views,).
 
     Args:
         points: Points in the body's frame, (n, 3) [m].
         seen: Their rays m, (n, 2).
-        view: View of each, (n,).
-        n_views: Number of views.
-
-    Returns:
-        Poses (n_views, 4, 4) [m], root mean square errors of m (n_views,).
+        view: View of each, (n,). Views with few points are not solved; their error is infinite.
     """
     counts = np.bincount(view, minlength=n_views)
     order = np.argsort(view, kind="stable")
     width = int(counts.max(initial=1))
-    body, rays_, present = (
-        np.zeros((n_views, width, 3)),
-        np.zeros((n_views, width, 2)),
-        np.zeros((n_views, width), bool),
-    )
+    body, rays_ = (np.zeros((n_views, width, k)) for k in (3, 2))
+    present = np.zeros((n_views, width), dtype=bool)
     place = np.arange(len(view)) - np.repeat(np.cumsum(counts) - counts, counts)
     body[view[order], place], rays_[view[order], place] = points[order], seen[order]
     present[view[order], place] = True

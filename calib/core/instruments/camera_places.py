@@ -59,12 +59,7 @@ class Sightings:
 
 
 def guesses(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
-    """Return guesses at the places of camera and body, best first.
-
-    Args:
-        now: The present places.
-        known: Whether each of them is known.
-    """
+    """Return guesses at the places of camera and body, best first, from the present ones and whether each is known."""
     sample = sightings.select(np.unique(np.linspace(0, len(sightings.view) - 1, _POINTS).astype(np.intp)))
     tried = [now, *_from_views(sightings, now, known), *_from_points(sample, now, known)]
     tried.sort(key=lambda places: _typical(sample, places))
@@ -147,13 +142,7 @@ def _typical(sightings: Sightings, places: Places) -> float:
 def refine_places(
     sightings: Sightings, places: Places, known: tuple[bool, bool] = (False, False), steps: int = _STEPS
 ) -> Places:
-    """Return places after least squares over the unknown ones; far-off sightings count less.
-
-    Args:
-        places: Places to start from.
-        known: Whether each of them is known.
-        steps: Largest number of steps.
-    """
+    """Return places after some steps of least squares over the unknown ones; far-off sightings count less."""
     free = np.repeat(np.logical_not(known), 6)
     scale = max(np.sqrt(_typical(sightings, places)), 1e-6)
 
@@ -181,16 +170,11 @@ def refine_places(
         both = np.concatenate([by_camera, by_body], axis=2)[:, :, free]
         return (by_point @ both).reshape(2 * n, -1)
 
-    found_x = scipy.optimize.least_squares(
-        errors,
-        np.zeros(int(free.sum())),
-        jac=jacobian,
-        loss="soft_l1",
-        f_scale=10 * scale,
-        max_nfev=steps,
-        x_scale="jac",
-    )
-    return places_at(found_x.x)
+    start, spread = np.zeros(int(free.sum())), 10 * scale
+    x = scipy.optimize.least_squares(
+        errors, start, jac=jacobian, loss="soft_l1", f_scale=spread, max_nfev=steps, x_scale="jac"
+    ).x
+    return places_at(x)
 
 
 def _step_pose(pose: FloatArray, step: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Checks of a kind of measurement: shapes, numbers and derivatives, for the tests of its package.
+"""Checks of kinds of measurement and of joint terms: shapes, numbers and derivatives, for tests of their packages.
 
 A wrong derivative does not stop a fit, which only converges more slowly, but its intervals are wrong. So each column is
 compared with the central difference of the residuals, whose error is of second order in the step h, and of order
@@ -7,15 +7,18 @@ eps / h by rounding.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import ComputationError
 from calib.core.instruments.kind import Comparison, Instrument, JointComparison, Readings, View
+from calib.core.robots.terms.term import Condition, Context, JointTerm
 
 _STEP = 1e-6  # m, rad; for unknown numbers relative to their expected error
 _NEAR = 1e-5  # allowed difference of derivatives, as part of the largest of a row: rounding (1e-16 / 1e-6), lost digits
+_SAME = 1e-6  # allowed difference of columns and formula of a term
 _TWIST = ("dp_x", "dp_y", "dp_z", "dw_x", "dw_y", "dw_z")
 
 
@@ -83,7 +86,8 @@ def check_kind(
             f"{subject}: with_errors() does not change row {axes[row]} alone by the given error",
         )
     for k, column in enumerate(columns):
-        ends = [compare(_view_after_step(seen, k, sign * _STEP), own, values).residuals for sign in (1, -1)]
+        moved = (seen.after_step(k, h) if isinstance(seen, View) else seen + h for h in (_STEP, -_STEP))
+        ends = [compare(at, own, values).residuals for at in moved]
         _require_same(
             by_seen[:, :, k], (ends[0] - ends[1]) / (2 * _STEP), by_seen, f"{subject}: derivative by {column}", axes
         )
@@ -96,14 +100,52 @@ def check_kind(
         )
 
 
-def _view_after_step(seen: View | FloatArray, k: int, step: float) -> View | FloatArray:
-    """The view after a step of component k of the twist, or of the joint."""
-    if not isinstance(seen, View):
-        return np.asarray(seen + step)
-    change = step * np.eye(3)[k % 3]
-    if k < 3:
-        return View(seen.rotation, seen.translation + change)
-    return View(scipy.spatial.transform.Rotation.from_rotvec(change).as_matrix() @ seen.rotation, seen.translation)
+def check_term(term: JointTerm, q: FloatArray, j: int, context: Context) -> None:
+    """Raise `ComputationError` if a term does not keep what its class promises.
+
+    Args:
+        q: Commands that show it, (n, n_actuated) [m or rad].
+        j: Place of its joint among the actuated ones.
+        context: Conditions that show it; also the torque, if the term needs it.
+
+    Raises:
+        ComputationError: Columns have a wrong shape, are not finite, do not change with a condition of `depends_on`, or
+            are not those of the formula; or `torque_derivative` is not that of the columns.
+    """
+    subject, shape = type(term).__qualname__, (len(q), len(term.parameters))
+    columns = term.columns(q, j, context)
+    _require(np.shape(columns) == shape, f"{subject}: columns() returns shape {np.shape(columns)}, not {shape}")
+    _require(bool(np.isfinite(columns).all()), f"{subject}: columns() returns numbers that are not finite")
+    _require(bool(np.any(columns)), f"{subject}: columns() returns only zeros at these commands")
+    formula = term.formula(j)
+    if formula is not None:
+        off = np.abs(formula.columns(context.inputs(q)) - columns)
+        _require(bool(np.all(off < _SAME)), f"{subject}: formula() and columns() give different values")
+    for condition in term.depends_on:
+        by_torque = condition == Condition.LOAD and term.needs_torque  # the torque contains the load
+        less = None if by_torque else _without(context, condition)
+        changes = less is None or not np.array_equal(term.columns(q, j, less), columns)
+        _require(changes, f"{subject}: says that it depends on {condition.words}, but columns() ignores it")
+    if term.needs_torque and context.torque is not None:
+        rate = np.ones_like(context.torque)
+        step = 1e-6 * max(float(np.max(np.abs(context.torque))), 1.0)
+        ends = [term.columns(q, j, replace(context, torque=context.torque + s * rate)) for s in (step, -step)]
+        off = np.abs(term.torque_derivative(q, j, context, rate) - (ends[0] - ends[1]) / (2 * step))
+        _require(
+            bool(np.all(off < 1e-4 * max(float(np.max(np.abs(columns))), 1.0))),
+            f"{subject}: torque_derivative is wrong",
+        )
+
+
+def _without(context: Context, condition: Condition) -> Context | None:
+    """The conditions without one of them; None if it is not among them."""
+    if condition == Condition.APPROACH:
+        return replace(context, approach=np.zeros_like(context.approach))
+    if condition.column in ("time", "temperature", "load"):
+        return replace(context, **{condition.column: np.zeros_like(context.time)})  # type: ignore[arg-type]
+    if condition.column:
+        return replace(context, others={k: v for k, v in context.others.items() if k != condition.column})
+    return None
 
 
 def _require_same(given: FloatArray, found: FloatArray, all_of_it: FloatArray, subject: str, axes: list[str]) -> None:

@@ -18,13 +18,8 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, DataError
-from calib.core.base.sections import (
-    KNOWN_ZERO,
-    LengthOrUnknown,
-    OwnLength,
-    PositiveLength,
-)
-from calib.core.base.units import micrometres, millimetres
+from calib.core.base.sections import KNOWN_ZERO, LengthOrUnknown, OwnLength, PositiveLength
+from calib.core.base.units import quantity_text
 from calib.core.instruments.kind import Comparison, Guess, InstrumentSection, Part, Readings, Scene, View
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.relation import RelatedSection, Relation
@@ -73,9 +68,10 @@ class Distance(Relation):
         negative = np.flatnonzero(read < min(self.offset.value, 0.0))
         if len(negative) and not self.offset.unknown:
             k = int(negative[0])
+            size = quantity_text(float(read[k]), "length", "g")
             raise DataError(
-                f"instrument '{self.name}', reading {k + 1}: {column.name} is {millimetres(float(read[k])):g} mm, which"
-                " is not a distance; an instrument whose zero is elsewhere needs `offset` in the description"
+                f"instrument '{self.name}', reading {k + 1}: {column.name} is {size}, which is not a distance; an"
+                " instrument whose zero is elsewhere needs `offset` in the description"
             )
         return read[:, None]
 
@@ -119,7 +115,7 @@ def distances(vectors: FloatArray, what: str) -> tuple[FloatArray, FloatArray]:
     length = np.linalg.norm(vectors, axis=1)
     if np.any(length < _NOTHING):
         raise ComputationError(
-            f"{what} is within {micrometres(_NOTHING):g} um of the point that its distance is measured from, so that"
+            f"{what} is within 1 um of the point that its distance is measured from, so that"
             " the distance has no direction; check both places in the description"
         )
     return length, vectors / length[:, None]

@@ -30,12 +30,9 @@ _SETTLED = 1e-9
 def solve_rotations(
     links: FloatArray, seen: FloatArray, first: FloatArray | None = None, second: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the rotations (C, M) for which C A_i = L_i M fits best, (..., 3, 3) each.
+    """Return the rotations (C, M) for which C A_i = L_i M fits best, (..., 3, 3) each; of L_i and A_i, (..., n, 3, 3).
 
-    Args:
-        links: L_i, (..., n, 3, 3).
-        seen: A_i, (..., n, 3, 3).
-        first, second: C and M, where they are known, (..., 3, 3).
+    `first` and `second` are C and M, where they are known.
     """
     form = np.einsum("...kad,...kbc->...abdc", links, seen).reshape(*links.shape[:-3], 9, 9)
     if first is not None:
@@ -78,8 +75,7 @@ def solve_poses(
     """Return the poses (C, M) for which C A_i = L_i M fits best, (..., 4, 4) each [m].
 
     Args:
-        links: L_i, (..., n, 4, 4) [m].
-        seen: A_i, (..., n, 4, 4) [m].
+        links, seen: L_i and A_i, (..., n, 4, 4) [m].
         now: Present C and M, (4, 4) each [m]; components that the data do not determine stay near them.
         known: Whether C is known, and whether M is.
     """

@@ -24,7 +24,7 @@ from calib.core.instruments.kind import Column, InstrumentSection, JointComparis
 from calib.core.instruments.noise import Noise, PartNoise
 
 _FACTORS = (2.0, 0.5, 4.0, 0.25)  # usual mistakes in counts a turn
-_SCALE: dict[str, float] = {"angle": 1e-2, "length": 1e-2}  # of an unknown zero without `sigma_zero` [rad, m]
+_SCALE = 1e-2  # of an unknown zero without `sigma_zero` [rad or m]
 
 
 class JointReadingSection(InstrumentSection):
@@ -76,15 +76,8 @@ class JointReading(JointInstrument):
         """Return the instrument that an entry of a robot description means."""
         dimension, prior = section.dimension, section.number("sigma_zero")
         offset = section.number("offset") or 0.0
-        zero = Parameter(
-            f"{name}.zero",
-            dimension,
-            offset,
-            prior or _SCALE[dimension],
-            DISPLAY_UNIT[dimension],
-            prior=prior is not None,
-            placement=True,
-        )
+        size, is_prior = prior or _SCALE, prior is not None
+        zero = Parameter(f"{name}.zero", dimension, offset, size, DISPLAY_UNIT[dimension], is_prior, placement=True)
         noise = Noise((PartNoise.from_sigma(section.number("sigma"), 1),))
         unknowns = (zero,) if section.zero == "unknown" else ()
         return cls(name, section.joint, dimension, offset, noise=noise, unknowns=unknowns)
@@ -106,7 +99,9 @@ class JointReading(JointInstrument):
     def compare(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> JointComparison:
         """Return errors of the joint, and their derivatives by the joint and the zero."""
         n = len(readings)
-        residuals = self._nearest_turn(self.predict(joint, unknowns, readings.details) - readings.values)
+        residuals = self.predict(joint, unknowns, readings.details) - readings.values
+        if self.dimension == "angle":  # a whole turn is no error
+            residuals = np.mod(residuals + np.pi, 2 * np.pi) - np.pi
         return JointComparison(residuals, np.ones((n, 1)), np.ones((n, 1, len(unknowns))))
 
     def first_unknowns(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> FloatArray:
@@ -129,8 +124,3 @@ class JointReading(JointInstrument):
         if self.dimension == "angle":
             yield f"degrees of {self.name} were read as radians", np.radians(values)
             yield f"radians of {self.name} were read as degrees", np.degrees(values)
-
-    def _nearest_turn(self, off: FloatArray) -> FloatArray:
-        if self.dimension == "length":
-            return off
-        return np.mod(off + np.pi, 2 * np.pi) - np.pi

@@ -21,8 +21,10 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.errors import DataError, nearest
 from calib.core.base.parameter import Parameter
 from calib.core.base.sections import Component, PlaceSection, PosedSection, Section
 from calib.core.base.units import Dimension
@@ -92,12 +94,7 @@ class Place:
 
 
 def placed(name: str, section: PlaceSection | PosedSection, unknown: tuple[Component, ...] | None = None) -> Place:
-    """Return a place of this name as the description states it.
-
-    Args:
-        section: Its entry in the description.
-        unknown: Components that the measurements must find; if not given, those that the section calls unknown.
-    """
+    """Return a place of this name as the description states it; `unknown` replaces the components that it calls so."""
     found = section.unknown if unknown is None else unknown
     return Place(name, section.frame, section.xyz, section.rpy, found, section.sigma, section.sigma_angle)
 
@@ -113,6 +110,14 @@ class View:
 
     rotation: FloatArray
     translation: FloatArray
+
+    def after_step(self, component: int, step: float) -> View:
+        """Return the views after a step [m or rad] of one component of the twist [dp; dw], 0 to 5."""
+        change = step * np.eye(3)[component % 3]
+        if component < 3:
+            return View(self.rotation, self.translation + change)
+        turned = scipy.spatial.transform.Rotation.from_rotvec(change).as_matrix() @ self.rotation
+        return View(turned, self.translation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,11 +221,7 @@ class Guess:
 
 
 class InstrumentSection(Section):
-    """The entry of an instrument in a robot description.
-
-    Attributes:
-        kind: Its kind of measurement.
-    """
+    """The entry of an instrument, of some `kind`, in a robot description."""
 
     kind: str
 
@@ -236,6 +237,7 @@ class Instrument(ABC):
         touches: Whether a reading has no numbers, because contact is all that it states (class attribute).
         may_see_nothing: Whether it reads nothing at some poses, such as those at which a camera does not see the board;
             then predictions are NaN (class attribute).
+        lacks: Beginning of the message on a text that names nothing (class attribute).
         name: Its name in the description, and the beginning of its columns.
         noise: Its stated noise.
         unknowns: Its own unknown numbers.
@@ -245,6 +247,7 @@ class Instrument(ABC):
     label_column: ClassVar[str | None] = None
     touches: ClassVar[bool] = False
     may_see_nothing: ClassVar[bool] = False
+    lacks: ClassVar[str] = "has no place"
     name: str
     noise: Noise = field(kw_only=True)
     unknowns: tuple[Parameter, ...] = field(default=(), kw_only=True)
@@ -298,6 +301,11 @@ class Instrument(ABC):
         """Return its columns in a measurement file: by default `<name>_<axis>` for each of its rows."""
         return tuple(Column(f"{self.name}_{axis}", part.dimension) for part in self.parts for axis in part.axes)
 
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Names of the things that rows may be about, in the order of the detail; empty where there is one thing."""
+        return ()
+
     def text_columns(self) -> tuple[str, ...]:
         """Return its text columns, which name the observed things."""
         return ()
@@ -306,6 +314,8 @@ class Instrument(ABC):
         self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
     ) -> tuple[Sequence[bool], IntArray, FloatArray]:
         """Return from the text columns which rows are readings of this instrument, their pairs and their details.
+
+        By default a cell is one of `named`, whose number is the detail; an empty one without numbers is no reading.
 
         Args:
             texts: Text columns by name, n cells each.
@@ -317,16 +327,33 @@ class Instrument(ABC):
         Raises:
             DataError: A text is not valid.
         """
-        n = len(where)
-        return [True] * n, np.zeros(n, dtype=np.intp), np.zeros((n, 0))
+        which, number = np.zeros(len(where), dtype=np.intp), {name: k for k, name in enumerate(self.named)}
+        for column in self.text_columns():
+            for k, text in enumerate(texts[column]):
+                if text not in number and (text or self.columns()):
+                    raise DataError(
+                        f"{where[k]}, column '{column}': '{self.name}' {self.lacks} '{text:.60}'"
+                        f"{nearest(text, self.named)}"
+                    )
+                which[k] = number.get(text, -1)
+        return (which >= 0).tolist(), self.pair_of(np.maximum(which, 0)), self._details(which)
+
+    def pair_of(self, which: IntArray) -> IntArray:
+        """Return the pairs of frames of things that rows are about, (n,): by default all have the same."""
+        return np.zeros_like(which)
 
     def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
         """Return the text columns by name from pairs (n,) and details (n, n_details), the inverse of `parse_texts`."""
-        return {}
+        names = self.named
+        return {column: [names[int(which)] for which in details[:, 0]] for column in self.text_columns()}
 
     def looks(self) -> tuple[IntArray, FloatArray]:
         """Return all that it can read at one visit: pairs (n,) and details (n, n_details)."""
-        return np.zeros(1, dtype=np.intp), np.zeros((1, 0))
+        which = np.arange(max(len(self.named), 1))
+        return self.pair_of(which), self._details(which)
+
+    def _details(self, which: IntArray) -> FloatArray:
+        return which[:, None].astype(float)[:, : len(self.text_columns())]
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Turn columns (n,) [SI] by name into values (n, n_values): by default the columns themselves."""

@@ -80,10 +80,7 @@ class PartNoise:
     def covariance(self, points: FloatArray | None, n: int, n_rows: int) -> FloatArray:
         """Return the covariance of n readings, (n, n_rows, n_rows) [SI^2].
 
-        Args:
-            points: Positions of the target in the tracker's frame, (n, 3) [m]; only a `Beam` needs them.
-            n: Number of readings.
-            n_rows: Rows of the part.
+        Only a `Beam` needs the positions of the target in the tracker's frame, (n, 3) [m].
         """
         if self.beam is not None and points is not None:
             distance = np.linalg.norm(points, axis=1)

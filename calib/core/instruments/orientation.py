@@ -221,11 +221,7 @@ def _level(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Orientations of measurement frame and sensor in their links for which g_i = M^T L_i^T C (0, 0, -1) fits.
 
-    Args:
-        links: L_i, (n, 3, 3).
-        seen: g_i, (n, 3).
-        frame, sensor: Present C and M, (3, 3) each.
-        known: Whether each of them is known.
+    From L_i (n, 3, 3), g_i (n, 3), the present C and M (3, 3), and whether each of them is known.
     """
     starts = [frame @ _DOWN] if known[0] else [*np.eye(3), *-np.eye(3), frame @ _DOWN]
     solutions = []

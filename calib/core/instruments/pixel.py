@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.base.errors import DataError, nearest
+from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.errors import DataError
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import DISPLAY_UNIT, Dimension
 from calib.core.instruments.board import Board
@@ -61,6 +61,7 @@ class Pixel(FrameInstrument):
     parts = (PIXEL,)
     label_column = "camera"
     may_see_nothing = True
+    lacks = "has no point"
     place: Place
     intrinsics: tuple[float, ...]
     points_of_body: Mapping[str, tuple[float, float, float]]
@@ -103,33 +104,14 @@ class Pixel(FrameInstrument):
         """Return `<columns>_u` and `_v`."""
         return tuple(Column(f"{self.prefix}_{axis}", "pixel") for axis in PIXEL.axes)
 
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Names of the points."""
+        return tuple(self.points_of_body)
+
     def text_columns(self) -> tuple[str, ...]:
         """Return `point`."""
         return ("point",)
-
-    def parse_texts(
-        self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
-    ) -> tuple[Sequence[bool], IntArray, FloatArray]:
-        """Return the number of each row's point as its detail."""
-        names = list(self.points_of_body)
-        details = np.zeros((len(where), 1))
-        for k, text in enumerate(texts["point"]):
-            if text not in self.points_of_body:
-                raise DataError(
-                    f"{where[k]}, column 'point': '{self.name}' has no point '{text}'{nearest(text, names)}"
-                )
-            details[k] = names.index(text)
-        return [True] * len(where), np.zeros(len(where), dtype=np.intp), details
-
-    def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
-        """Return the name of each reading's point."""
-        names = list(self.points_of_body)
-        return {"point": [names[int(number)] for number in details[:, 0]]}
-
-    def looks(self) -> tuple[IntArray, FloatArray]:
-        """Return every point."""
-        n = len(self.points_of_body)
-        return np.zeros(n, dtype=np.intp), np.arange(n, dtype=float)[:, None]
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return pixels, (n, 2); NaN for points that have no image."""

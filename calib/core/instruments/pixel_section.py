@@ -26,8 +26,7 @@ _COLUMNS = ("point", "x", "y", "z")
 
 def _folder(info: ValidationInfo) -> Path:
     """Folder of the description; files that it names are relative to it."""
-    folder: Path = (info.context or {}).get("folder", Path())
-    return folder
+    return (info.context or {}).get("folder", Path())
 
 
 def _board(given: Any, info: ValidationInfo) -> Any:
@@ -135,12 +134,7 @@ class PixelSection(InstrumentSection):
 
 
 def read_points(path: Path) -> dict[str, tuple[float, float, float]]:
-    """Return points by name [m].
-
-    Raises:
-        DescriptionError: No such file, a column that is missing or has a wrong unit, a cell that is not a number, or a
-            name that comes twice.
-    """
+    """Return points by name [m]; a `DescriptionError` names the line of a mistake."""
     lines = read_text(path, "a CSV file with columns point, x, y, z", DescriptionError).splitlines()
     rows = [(k, row) for k, row in enumerate(csv.reader(lines), 1) if row and not row[0].lstrip().startswith("#")]
     header = [split_column(cell) for cell in rows[0][1]] if rows else []

@@ -21,7 +21,7 @@ own errors are so large that readings do not distinguish places.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -30,7 +30,6 @@ import pinocchio as pin
 import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.errors import DataError, nearest
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, PlaceSection
 from calib.core.instruments.camera import cube_rotations
 from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Guess, Place, Readings, Scene, View, placed
@@ -101,36 +100,9 @@ class Relation(FrameInstrument):
         """Return `<name>`, which names the thing of a row; no column for a single thing."""
         return (self.name,) if self.touches or len(self.named) > 1 else ()
 
-    def parse_texts(
-        self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
-    ) -> tuple[Sequence[bool], IntArray, FloatArray]:
-        """Return the thing of each row; an empty cell is no reading."""
-        which = np.zeros(len(where), dtype=np.intp)
-        lacks = "touches nothing called" if self.touches else "has no place"
-        for column in self.text_columns():
-            for k, text in enumerate(texts[column]):
-                if text and text not in self.named:
-                    raise DataError(
-                        f"{where[k]}, column '{column}': '{self.name}' {lacks} '{text:.60}'{nearest(text, self.named)}"
-                    )
-                which[k] = self.named.index(text) if text else -1
-        return (which >= 0).tolist(), self.pair_of(np.maximum(which, 0)), self._details(which)
-
     def pair_of(self, which: IntArray) -> IntArray:
         """Return the pairs of things that rows are about, (n,): each place has its own pair."""
-        return which if len(self.named) == len(self.own) else np.zeros_like(which)
-
-    def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
-        """Return the name of each reading's thing."""
-        return {column: [self.named[int(which)] for which in details[:, 0]] for column in self.text_columns()}
-
-    def looks(self) -> tuple[IntArray, FloatArray]:
-        """Return all things that readings can be about."""
-        which = np.arange(max(len(self.named), 1))
-        return self.pair_of(which), self._details(which)
-
-    def _details(self, which: IntArray) -> FloatArray:
-        return which[:, None].astype(float)[:, : len(self.text_columns())]
+        return which if len(self.named) == len(self.own) else super().pair_of(which)
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return the columns side by side; a touch reads nothing, and gets one row of zeros."""
@@ -144,11 +116,7 @@ class Relation(FrameInstrument):
             return np.asarray(sum(weight * moved(k * _STEP) for k, weight in _WEIGHTS) / _STEP)
 
         def misses_after_step(component: int, step: float) -> FloatArray:
-            change = step * np.eye(3)[component % 3]
-            if component < 3:
-                return self.misses(View(view.rotation, view.translation + change), unknowns, readings)
-            turned = scipy.spatial.transform.Rotation.from_rotvec(change).as_matrix() @ view.rotation
-            return self.misses(View(turned, view.translation), unknowns, readings)
+            return self.misses(view.after_step(component, step), unknowns, readings)
 
         by_twist, by_unknown = np.zeros((n, self.n_rows, 6)), np.zeros((n, self.n_rows, width))
         for component in range(6):

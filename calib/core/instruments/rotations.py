@@ -76,11 +76,8 @@ def write_rotations(form: Form, vectors: FloatArray) -> FloatArray:
 
 
 def other_rotations(form: Form, vectors: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """Yield other meanings of rotations that were read in this form, in words, and the rotation vectors then, (n, 3).
-
-    Args:
-        form: Form in which they were read.
-        vectors: Rotation vectors (n, 3) [rad] of complete readings.
+    """Yield other meanings of rotation vectors (n, 3) [rad] that were read in this form, in words, and the vectors
+    then.
     """
     numbers = write_rotations(form, vectors)
     yield "its rotations were inverse (the frame seen from the sensor)", -vectors

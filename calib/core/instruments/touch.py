@@ -53,6 +53,7 @@ class Touch(Relation):
 
     section = TouchSection
     touches = True
+    lacks = "touches nothing called"
     surface: Surface = "socket"
     touched: tuple[str, ...] = ()
     points_of_artefact: tuple[tuple[float, float, float], ...] = ()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
+import pinocchio as pin
 from pydantic import Field, model_validator
 
 from calib.core.base.sections import (
@@ -48,12 +49,7 @@ class TouchedSection(PlaceSection):
 
     def normal_component(self) -> Component:
         """Return the axis of the link nearest to the normal of a plane; the fit moves an unknown plane along it."""
-        roll, pitch, yaw = self.rpy
-        normal = (
-            np.cos(yaw) * np.sin(pitch) * np.cos(roll) + np.sin(yaw) * np.sin(roll),
-            np.sin(yaw) * np.sin(pitch) * np.cos(roll) - np.cos(yaw) * np.sin(roll),
-            np.cos(pitch) * np.cos(roll),
-        )
+        normal = np.round(pin.rpy.rpyToMatrix(*self.rpy)[:, 2], 9)  # of two that are as near, the first
         return LENGTH_COMPONENTS[int(np.argmax(np.abs(normal)))]
 
 

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
-from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
+from calib.core.base.contributions import Contributions, names_of
+from calib.core.base.units import display_unit, error_unit, millimetres
 from calib.core.base.words import as_data, count_noun, listing, plain_text, text_table
 from calib.core.fitting.error_sets import error_table
 from calib.core.judging.acceptance import Acceptance
@@ -32,8 +33,13 @@ _SENTENCES = {
 }
 
 
-def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> str:
-    """Return an acceptance as text, with figures of ISO 9283 and reasons for missing ones."""
+def text_report(
+    acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str], contains: Contributions = frozenset()
+) -> str:
+    """Return an acceptance as text, with figures of ISO 9283 and reasons for missing ones.
+
+    `contains` are contributions to the covariance of the calibration, as far as they are known.
+    """
     data = acceptance.errors.data
     parts: list[str | Table] = [
         _SENTENCES[acceptance.verdict].format(
@@ -51,13 +57,21 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
     if acceptance.outliers:
         parts.append(f"Left out, further off than noise explains: {listing(acceptance.outliers, '; ')}")
     parts += ["", _heading(acceptance.changes), _changes(acceptance.changes)]
+    if contains:
+        parts.append(
+            f"Intervals count the noise of these readings; of the calibration: {', '.join(names_of(contains))}"
+        )
     if figures:
         parts += [
             "",
             "ISO 9283 with 95 % intervals; commanded is what the calibrated robot predicts",
             _iso_table(figures),
         ]
-    lines = [_placing_sentence(acceptance), *missing] if figures and acceptance.placed else missing
+    placing = (
+        f"base and targets were placed by these readings, so AP has {acceptance.placed} degrees of freedom less;"
+        " --same-setup keeps them"
+    )
+    lines = [placing, *missing] if figures and acceptance.placed else missing
     parts += [f"ISO 9283: {'; '.join(lines)}"] if lines else []
     stated = conditions(data.comments)
     parts += [f"{key}: {stated[key]}" for key in CONDITIONS if key in stated]
@@ -70,7 +84,9 @@ def plan_report(changes: Sequence[Change], data: str, n: int) -> str:
     return plain_text([title, _changes(changes, with_values=False)], _WIDTH, wrap=True).rstrip()
 
 
-def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> dict[str, object]:
+def to_dict(
+    acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str], contains: Contributions = frozenset()
+) -> dict[str, object]:
     """Return an acceptance as data for JSON, in mm, deg, and mrad for angles of ISO 9283; unknown numbers are None."""
     data = acceptance.errors.data
     return as_data(
@@ -100,16 +116,8 @@ def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Seque
             "alike": list(acceptance.alternative_changes),
             "outliers": list(acceptance.outliers),
             "changes": changes_as_data(acceptance.changes),
-            "iso9283": [
-                {
-                    "name": iso.name,
-                    "poses": iso.poses,
-                    "cycles": iso.cycles,
-                    "unit": _iso_unit(iso)[0],
-                    **{key: getattr(iso.figure, key) * _iso_unit(iso)[1] for key in ("value", "low95", "high95")},
-                }
-                for iso in figures
-            ],
+            "contains": names_of(contains),
+            "iso9283": list(map(_iso_as_data, figures)),
             "iso9283_missing": list(missing),
             "conditions": conditions(data.comments),
         }
@@ -118,19 +126,19 @@ def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Seque
 
 def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
     """Return changes in mm and deg."""
-    return [
-        {
-            "name": change.name,
-            "unit": _unit(change)[0],
-            "value": change.value * _unit(change)[1],
-            "std": change.std * _unit(change)[1],
-            "z": change.z,
-            "p_value": change.p_value,
-            "significant": change.significant,
-            "visible": change.visible * _unit(change)[1],
-        }
-        for change in changes
-    ]
+    rows = []
+    for change in changes:
+        unit, scale = display_unit(change.dimension)
+        sizes = {"value": change.value * scale, "std": change.std * scale, "visible": change.visible * scale}
+        chances = {"z": change.z, "p_value": change.p_value, "significant": change.significant}
+        rows.append({"name": change.name, "unit": unit, **sizes, **chances})
+    return rows
+
+
+def _iso_as_data(iso: IsoFigure) -> dict[str, object]:
+    unit, scale = _iso_unit(iso)
+    numbers = {key: getattr(iso.figure, key) * scale for key in ("value", "low95", "high95")}
+    return {"name": iso.name, "poses": iso.poses, "cycles": iso.cycles, "unit": unit, **numbers}
 
 
 def _errors(acceptance: Acceptance) -> list[str]:
@@ -174,7 +182,7 @@ def _drift(acceptance: Acceptance) -> list[str]:
     if not acceptance.changes:
         return []
     first = acceptance.changes[0]
-    unit, scale = _unit(first)
+    unit, scale = display_unit(first.dimension)
     half = acceptance.coverage_factor * first.std
     low, high = ((first.value + side * half) * scale for side in (-1.0, 1.0))
     size = f"{first.value * scale:+.4f} {unit} (standard deviation {first.std * scale:.4f})"
@@ -196,13 +204,6 @@ def _drift(acceptance: Acceptance) -> list[str]:
     return lines
 
 
-def _placing_sentence(acceptance: Acceptance) -> str:
-    return (
-        f"base and targets were placed by these readings, so AP has {acceptance.placed} degrees of freedom less;"
-        " --same-setup keeps them"
-    )
-
-
 def _heading(changes: Sequence[Change]) -> str:
     n = sum(change.significant for change in changes)
     which = f"{count_noun(n, 'is', 'are')} significant" if n else "none is significant"
@@ -214,7 +215,7 @@ def _changes(changes: Sequence[Change], *, with_values: bool = True) -> Table:
     table = text_table((*left, *(("found",) if with_values else ()), *heads), left, plain=True)
     seen = [change for change in changes if change.significant or change.visible < _LARGEST]
     for change in seen[:_SHOWN]:
-        unit, scale = _unit(change)
+        unit, scale = display_unit(change.dimension)
         numbers = [x * scale for x in (*((change.value,) if with_values else ()), change.std, change.visible)]
         table.add_row(change.name, unit, *("" if np.isnan(x) else f"{x:.4f}" for x in numbers))
     return table
@@ -230,10 +231,5 @@ def _iso_table(figures: Sequence[IsoFigure]) -> Table:
     return table
 
 
-def _unit(change: Change) -> tuple[str, float]:
-    return DISPLAY_UNIT[change.dimension], display_scale(change.dimension)
-
-
 def _iso_unit(iso: IsoFigure) -> tuple[str, float]:
-    dimension: Dimension = "angle" if iso.is_angle else "length"
-    return ERROR_UNIT[dimension], error_scale(dimension)
+    return error_unit("angle" if iso.is_angle else "length")

@@ -44,12 +44,9 @@ class CalibratedRobot:
     robot: Robot
 
     def export(self, path: Path | str, format: str | None = None, *, force: bool = False) -> None:
-        """Write the calibrated robot for another program; see `calib.export`.
+        """Write the calibrated robot for another program into a file; see `calib.export`.
 
-        Args:
-            path: File to write.
-            format: `urdf`, `mjcf`, `xacro` and others; by the file's ending if not given.
-            force: As in `calib.export`.
+        `format` is `urdf`, `mjcf`, `xacro` or another one; by the file's ending if not given.
         """
         load_entry("calib.methods", "export")(self.robot, path, format, force=force)
 
@@ -231,10 +228,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
 def reading_keys(instrument: str, joints: FloatArray, values: FloatArray) -> list[bytes]:
     """Return a key of each reading of an instrument, equal for equal readings.
 
-    Args:
-        instrument: Its name.
-        joints: Joint values of each reading, (n, n_actuated) [m or rad].
-        values: The readings, (n, n_values).
+    The readings are joint values (n, n_actuated) [m or rad] and what was read, (n, n_values).
     """
     numbers = np.round(np.hstack([joints, values]), _DIGITS) + 0.0  # no -0.0
     return [instrument.encode() + row.tobytes() for row in np.where(np.isnan(numbers), np.nan, numbers)]

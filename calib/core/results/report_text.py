@@ -23,12 +23,10 @@ _MOST_REASONS = 3
 
 @one_blas_thread
 def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
-    """Return a fit as text.
+    """Return a fit as text, `width` characters wide.
 
-    Args:
-        width: Width of the text, in characters.
-        verbose: All reasons, tables and remarks; otherwise at most 40 lines: the verdict, the errors before and after,
-            and the parameters that changed most.
+    `verbose`: all reasons, tables and remarks; otherwise at most 40 lines: the verdict, the errors before and after,
+    and the parameters that changed most.
     """
     verdict = judge(fit)
     title = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"

@@ -13,9 +13,8 @@ from calib.core.judging.next_step import next_step
 from calib.core.judging.repeatability import repeat_table, repeatability
 from calib.core.judging.verdict import judge
 from calib.core.results.saved_fit import VERSION
-from calib.core.results.sections.attempts import folds_table, starts_table
 from calib.core.results.sections.budget import budget_table
-from calib.core.results.sections.contents import contents_table
+from calib.core.results.sections.details import contents_table, folds_table, starts_table
 from calib.core.results.sections.determination import correlated_pairs, position_uncertainty_table, rank_content
 from calib.core.results.sections.files_held import file_entries
 from calib.core.results.sections.noise import instrument_blocks

@@ -78,8 +78,7 @@ def load_result(folder: Path | str, robot: Robot | None = None, *, failed_too: b
 def read_content(folder: Path | str) -> dict[str, Any]:
     """Return the content of `result.json` in a folder, or raise `DataError` if it holds no result."""
     saved = read_saved(folder)
-    content: dict[str, Any] = version_1.read_content(folder) if saved is None else saved["content"]
-    return content
+    return version_1.read_content(folder) if saved is None else saved["content"]
 
 
 def forced_lines(folder: Path | str) -> list[str]:

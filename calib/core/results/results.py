@@ -70,8 +70,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
         pages: Further files for people, name -> content.
 
     Raises:
-        InputError: The folder cannot be written, or holds files of these names that this program did not write, or from
-            which the fit was made; nothing is changed then.
+        InputError: The folder cannot be written, or holds files of these names that are not to be replaced.
     """
     verdict = judge(fit)
     failed = verdict.grade == "FAIL"

@@ -63,13 +63,7 @@ _ENDED = LeastSquaresSolution(
 def saved_bytes(
     fit: Fit, content: Mapping[str, Any], nominal: Mapping[str, bytes], files: Mapping[Holds, FileRobot]
 ) -> bytes:
-    """Return the content of `fit.npz`.
-
-    Args:
-        content: Content of `result.json`.
-        nominal: Files of the nominal robot, by name.
-        files: The robots of the fit's files.
-    """
+    """Return `fit.npz`, from the content of `result.json`, files of the nominal robot, and the robots of files."""
     undecided = fit.undecided  # to find these takes as long as all else; other fits find theirs at first use
     shown = None if undecided is None else {**vars(undecided), "terms": _entries(undecided.terms)}
     return array_file(
@@ -171,15 +165,9 @@ def with_saved_terms(robot: Robot, entry: Mapping[str, Any]) -> Robot:
 
 @one_blas_thread
 def evaluate_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFit:
-    """Return a saved fit: the model, evaluated at its end values.
+    """Return a saved fit: the model of a nominal robot, with or without its terms, evaluated at the end values.
 
-    Args:
-        robot: The nominal robot, with or without its joint terms.
-        entry: Entry `fit` of the content of `read_saved`.
-        where: The result folder, for messages.
-
-    Raises:
-        ComputationError: The fit cannot be restored from the folder.
+    `entry` is the entry `fit` of the content of `read_saved`. `ComputationError` if the fit cannot be restored.
     """
     try:
         fit = JudgedFit.from_fit(_fit_of(robot, entry))
@@ -202,13 +190,8 @@ def _fit_of(robot: Robot, entry: Mapping[str, Any]) -> Fit:
     start, end = (problem.evaluate(seen.with_parameters(entry[state])) for state in ("placed", "values"))
     begin = reset_unseen(problem, start)
     weighing = {"weights": robust["weights"], "factors": Factors(**robust["factors"])} if robust else {}
-    minimum = Minimum(
-        nominal,
-        (),
-        start,
-        require_identifiable(problem, begin),
-        RobustSolution(problem, end, groups, _ENDED, **weighing),
-    )
+    end_point = RobustSolution(problem, end, groups, _ENDED, **weighing)
+    minimum = Minimum(nominal, (), start, require_identifiable(problem, begin), end_point)
     validation = None if entry["validation"] is None else _measurements_of(entry["validation"], nominal)
     fit = fit_at(minimum, settings, validation)
     requested, folds = entry["choice"], entry["folds"]

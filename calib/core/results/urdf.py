@@ -27,9 +27,8 @@ _EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
 def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
     """Return the URDF with the origins of the robot's values.
 
-    Args:
-        provenance: Lines of a comment behind the `<robot>` tag, which also names the nominal file and every parameter
-            that differs from nominal; None for no comment.
+    `provenance`: lines of a comment behind the `<robot>` tag, which also names the nominal file and every parameter
+    that differs from nominal; None for no comment.
     """
     edited = urdf_of_origins(robot)
     if provenance is None or edited == robot.urdf.source:

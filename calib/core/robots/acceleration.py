@@ -11,10 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
+from calib.core.base.words import warn_once
 from calib.core.robots.mechanism import Mechanism
 
 _MANY = 5000  # number of poses, with loops, for which loading numba pays: each pose of a fit saves 0.1 ms
@@ -26,11 +28,7 @@ _requested: ContextVar[bool | None] = ContextVar("compiled kinematics", default=
 
 @contextmanager
 def compile_kinematics(use: bool = True) -> Iterator[None]:
-    """In the block, compute kinematics by compiled code if numba is installed; or never.
-
-    Args:
-        use: Whether to use compiled code.
-    """
+    """In the block, compute kinematics by compiled code if numba is installed; or never."""
     before = _requested.set(use)
     try:
         yield
@@ -39,23 +37,14 @@ def compile_kinematics(use: bool = True) -> Iterator[None]:
 
 
 def compile_for(n_poses: int, many: int = _MANY_OPEN) -> AbstractContextManager[None]:
-    """In the block, compute kinematics by compiled code if that is faster for `n_poses`, unless a caller decides
-    otherwise.
-
-    Args:
-        n_poses: Number of poses, one part after the other.
-        many: Number of poses that is worth loading code that is already compiled.
+    """In the block, use compiled code if that is faster for `n_poses`, one part after the other, unless a caller
+    decides; code that is already compiled is worth loading for `many` poses.
     """
     return compile_kinematics() if _requested.get() is None and pays(n_poses, many) else nullcontext()
 
 
 def pays(n_poses: int, many: int = _MANY_OPEN) -> bool:
-    """Whether compiled code saves more time than it takes, if so many poses have to be computed.
-
-    Args:
-        n_poses: Number of these poses.
-        many: Number of poses that is worth loading code that is already compiled.
-    """
+    """Whether compiled code saves more time than it takes, if so many poses have to be computed; see `compile_for`."""
     return _AVAILABLE and n_poses >= many and (n_poses >= _TO_COMPILE * many or _functions().is_compiled())
 
 
@@ -70,17 +59,23 @@ def compilation_requested() -> bool:
 
 
 def kernels(mechanism: Mechanism, n_poses: int) -> Any:
-    """Return the compiled functions if they are to be used, else None.
+    """Return the compiled functions if they are to be used for so many poses at once, else None.
 
-    Args:
-        mechanism: The robot; loops that constrain directions are left to the reference.
-        n_poses: Number of poses that are computed at once.
+    Loops that constrain directions are left to the reference.
     """
     requested = _requested.get()
     use = pays(n_poses, many(mechanism)) if requested is None else requested
     if not (use and _AVAILABLE) or any(loop.full_pose for loop in mechanism.loops):
         return None
+    _tell_compiling()
     return _functions()
+
+
+@cache
+def _tell_compiling() -> None:
+    """Say once that functions will be compiled, because no stored code was found."""
+    if not _functions().is_compiled():
+        warn_once("numba compiles the kinematics; this takes about 5 s, once for each version")
 
 
 def _functions() -> Any:

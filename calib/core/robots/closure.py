@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.units import millimetres
+from calib.core.base.units import DISPLAY_UNIT, quantity_text
 from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.robots import kinematics
@@ -23,11 +23,7 @@ from calib.core.robots.mechanism import Mechanism, RelativeFrame
 
 
 class LoopRows:
-    """The rows of all loops of a mechanism, computed for some poses at a time.
-
-    Args:
-        mechanism: The robot.
-    """
+    """The rows of all loops of a mechanism, computed for some poses at a time."""
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism, self.shared = mechanism, kinematics.SweepCache(mechanism, mechanism.loops)
@@ -88,17 +84,9 @@ def motion(
     passive: FloatArray,
     closures: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Values of `actuated_jacobian`, and the derivative of the passive joints, (n, n_passive, n_actuated).
-
-    Args:
-        mechanism, target, actuated, passive: Arguments of `actuated_jacobian`.
-        closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
-    """
+    """Values of `actuated_jacobian`, and dp/da (n, n_passive, n_actuated); `closures` is [C_p C_a], where known."""
     swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
-    to_frame = swept.rotation[:, swept.index[target.a]].transpose(0, 2, 1)
-    mapping = np.zeros((len(actuated), 6, 6))
-    mapping[:, :3] = kinematics.twist_map(swept, target)
-    mapping[:, 3:, 3:] = to_frame
+    mapping = kinematics.motion_map(swept, kinematics.motion_rows(swept, (target,), angular=True))
 
     def derivative_by(select: FloatArray) -> FloatArray:
         coordinates = kinematics.Coordinates.from_signs(
@@ -113,15 +101,12 @@ def motion(
             closures = np.concatenate(residual(mechanism, actuated, passive)[1:], axis=2)
         by_joint = -np.linalg.solve(closures[:, :, : passive.shape[1]], closures[:, :, passive.shape[1] :])
         jacobian += derivative_by(mechanism.select_passive) @ by_joint
-    return kinematics.value(swept, target), to_frame @ swept.rotation[:, swept.index[target.b]], jacobian, by_joint
+    rotation, position = kinematics.seen_frame(swept, target)
+    return position, rotation, jacobian, by_joint
 
 
 def scale_closure(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
-    """Return C_p with metres divided by the characteristic length, so that its entries are pure numbers.
-
-    Args:
-        slope_passive: C_p, (n, n_rows, n_passive) [m or rad per m or rad].
-    """
+    """Return C_p, (n, n_rows, n_passive), with metres over the characteristic length: pure numbers."""
     rows = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
     return slope_passive * rows[:, None] * mechanism.passive_scale
 
@@ -135,11 +120,7 @@ def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArr
 
 
 def loop_openings(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each loop is open: lengths (n, n_loops) [m] and angles (n, n_loops) [rad].
-
-    Args:
-        values: r, (n, n_rows) [m, rad].
-    """
+    """Return how far each loop is open by r (n, n_rows): lengths [m] and angles [rad], (n, n_loops) each."""
     ends = np.cumsum([len(loop.rows) for loop in mechanism.loops])[:-1]
     lengths = np.split(np.where(mechanism.is_metre_row, values, 0.0), ends, axis=1)
     angles = np.split(np.where(mechanism.is_metre_row, 0.0, values), ends, axis=1)
@@ -147,10 +128,10 @@ def loop_openings(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray,
     return norms[0], norms[1]
 
 
-def gap_text(length: float, angle: float) -> str:
-    """Say a gap in mm, and in degrees where a loop's directions do not agree."""
-    turned = f" and {np.degrees(angle):.3g} deg" if angle > 0 else ""
-    return f"{millimetres(length):.3f} mm{turned}"
+def gap_text(length: float, angle: float, form: str = "") -> str:
+    """Say a gap in mm, and in degrees where a loop's directions do not agree, in a form if it is given."""
+    turned = f" and {quantity_text(angle, 'angle', form or '.3g', DISPLAY_UNIT)}" if angle > 0 else ""
+    return quantity_text(length, "length", form or ".3f") + turned
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +166,7 @@ class AssemblyMode(ReadOnlyArrays):
 def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ...]]:
     """Split a square, structurally regular pattern (n, n) into its strongly connected diagonal blocks.
 
-    Returns:
-        Row indices and column indices of each block, columns with few entries first: these are quickly eliminated.
+    Returns row indices and column indices of each, columns with few entries first: these are quickly eliminated.
     """
     column_of_row, entries = _match_rows(pattern), np.sum(pattern, axis=0)
     rows = connected_parts(pattern[:, column_of_row])

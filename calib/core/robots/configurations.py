@@ -44,11 +44,7 @@ class Configurations(ReadOnlyArrays):
 
 
 def joint_vector(robot: RobotData, q: ArrayLike) -> FloatArray:
-    """Check actuated joint values and return them as (n, n_actuated).
-
-    Raises:
-        DataError: Wrong shape, or values that are not finite.
-    """
+    """Return actuated joint values as (n, n_actuated); `DataError` if the shape is wrong, or a value not finite."""
     if isinstance(q, Mapping):
         raise DataError("joint values by name: give a list, [values[name] for name in robot.joint_names] [m or rad]")
     values = np.atleast_2d(numbers_in(q, "joint values"))
@@ -129,13 +125,9 @@ def distances(robot: RobotData, configurations: Configurations) -> FloatArray:
 
 
 def near_singularities(robot: RobotData, configurations: Configurations, labels: Sequence[str]) -> list[str]:
-    """Return a remark on every configuration that is near a singularity of the loops.
+    """Return a remark on every configuration, by its label (n,), that is near a singularity of the loops.
 
     There small errors of parameters and joints move the passive joints far.
-
-    Args:
-        configurations: Configurations of `assemble`.
-        labels: Name of each, (n,).
     """
     limit, values = robot.description.singularity_limit, distances(robot, configurations)
     return [near_singularity(labels[k], values[k], limit) for k in map(int, np.flatnonzero(values < limit))]

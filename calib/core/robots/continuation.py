@@ -32,7 +32,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.robots import kinematics
 from calib.core.robots.acceleration import kernels
 from calib.core.robots.closure import AssemblyMode, LoopRows
-from calib.core.robots.joint_samples import joint_samples
+from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.mechanism import Mechanism
 
 TOLERANCE = 1e-12
@@ -101,12 +101,9 @@ def _correct(
     slope_actuated: FloatArray,
     accepted: BoolArray,
 ) -> None:
-    """Fill in the results of `newton`, passive joints in place.
+    """Fill in the results of `newton`: passive joints in place, `slope`, `slope_actuated`, `accepted`.
 
-    Args:
-        mechanism, mode, actuated, passive: Arguments of `newton`.
-        limits: Largest residual of a closed pose, if computed, and if predicted from the two before it.
-        slope, slope_actuated, accepted: Where to put the results.
+    `limits` of residuals: of a closed pose, if computed, and if predicted from the two before it.
     """
     (enough, sure), (n, n_passive), loops = limits, passive.shape, LoopRows(mechanism)
     coordinates = loops.moving if len(slope) else loops.passive
@@ -156,10 +153,9 @@ def solve_each(matrix: FloatArray, right: FloatArray) -> FloatArray:
 def follow(
     mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, thorough: bool = True
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Solve poses in the assembly mode of home, by one of the ways of the module docstring.
+    """Solve poses (n, n_actuated) [m or rad] in the assembly mode of home, by the ways of the module docstring.
 
     Args:
-        actuated: Actuated joints, (n, n_actuated) [m or rad].
         thorough: Whether every way is tried for poses that cannot be reached from the nearest solved one.
 
     Returns:
@@ -206,13 +202,11 @@ class _Solutions:
 def carry(
     mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Follow closed configurations while the origins move from the nominal ones to those of `mechanism`.
+    """Follow configurations that close the nominal mechanism while its origins move to those of `mechanism`.
 
     Args:
-        mechanism: Where to arrive.
         mode: Nominal mechanism and assembly mode.
-        actuated: Actuated joints, which stay as they are, (n, n_actuated) [m or rad].
-        passive: Passive joints that close the nominal mechanism there, (n, n_passive) [m or rad].
+        actuated, passive: The configurations, (n, n_actuated), (n, n_passive) [m or rad]; actuated joints stay.
 
     Returns:
         Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses arrived (n,).

@@ -25,8 +25,7 @@ _TARGETS_GROUP = "targets"
 def instruments_of(description: Description, where: str) -> tuple[Instrument, ...]:
     """Return the instruments of a description.
 
-    Raises:
-        DescriptionError: An instrument looks at a target that does not exist, or two instruments have the same column.
+    `DescriptionError` if one looks at a target that does not exist, or two have the same column.
     """
     if not description.instruments:
         noise = Noise((PartNoise.from_sigma(description.sigma, 3),))
@@ -62,8 +61,7 @@ def _check_columns(description: Description, instruments: tuple[Instrument, ...]
 def places_of(description: Description, instruments: tuple[Instrument, ...], where: str) -> tuple[Place, ...]:
     """Return the measurement frame, the targets, the places of instruments, and the new places of later setups.
 
-    Raises:
-        DescriptionError: Two places have one name, or a setup names one that does not exist.
+    `DescriptionError` if two places have one name, or a setup names one that does not exist.
     """
     base = description.base
     unknown = COMPONENTS if base.pose == "unknown" else ()

@@ -186,15 +186,11 @@ class Description(Section):
 
     @model_validator(mode="after")
     def _loops_agree(self) -> Description:
-        if len(self.type) != len(self.closed_loop):
-            raise ValueError(
-                f"'type' has {len(self.type)} entries for {len(self.closed_loop)} entries of 'closed_loop'"
-            )
-        if self.closed_loop_axes is not None and len(self.closed_loop_axes) != len(self.closed_loop):
-            raise ValueError(
-                f"'closed_loop_axes' has {len(self.closed_loop_axes)} entries for"
-                f" {len(self.closed_loop)} entries of 'closed_loop'"
-            )
+        n = len(self.closed_loop)
+        for key in ("type", "closed_loop_axes"):
+            entries = getattr(self, key)
+            if entries is not None and len(entries) != n:
+                raise ValueError(f"'{key}' has {len(entries)} entries for {n} entries of 'closed_loop'")
         return self
 
     @property
@@ -222,11 +218,7 @@ class Description(Section):
 
 
 def read_description(path: Path | str) -> Description:
-    """Read and validate a robot description.
-
-    Raises:
-        DescriptionError: Missing file, broken YAML, unknown key, wrong value; the message names the place.
-    """
+    """Read a robot description; a `DescriptionError` names the place of a mistake."""
     text = read_text(path, "a robot description (YAML) or a URDF", DescriptionError)
     content = parse_yaml(text, path)
     if not isinstance(content, dict):
@@ -248,14 +240,9 @@ def schema_text() -> str:
 
 
 def validate_description(content: Mapping[str, Any], where: Path | str) -> Description:
-    """Validate the content of a robot description.
+    """Validate keys and values of a robot description; a `DescriptionError` names the place of a wrong one.
 
-    Args:
-        content: Its keys and values.
-        where: Its file, for messages; files that it names are relative to this one.
-
-    Raises:
-        DescriptionError: Unknown key, wrong value; the message names the place.
+    Files that it names are relative to its own, `where`.
     """
     try:
         return Description.model_validate(content, context={"folder": Path(where).parent})

@@ -75,12 +75,7 @@ def held_of(robot: Robot, file_format: str) -> Holds:
 def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
     """Return the robot to write into a file of a format; for joint zeros, the robot itself, which knows its zeros.
 
-    Args:
-        robot: The robot; the robot of a fit has the best robot for each kind of file.
-        force: Whether the file is written even if it is worse than the nominal robot, or of unknown accuracy.
-
-    Raises:
-        ComputationError: The file is worse, or of unknown accuracy, and `force` is not set.
+    `ComputationError` if the file is worse than the nominal robot, or of unknown accuracy, unless `force` is set.
     """
     holds = held_of(robot, file_format)
     known = robot.files.get(holds)

@@ -11,7 +11,8 @@ import yaml
 from calib.core.base.sections import COMPONENTS
 from calib.core.robots.description import Description
 from calib.core.robots.parametrisation import default_sections
-from calib.core.robots.urdf.text import HELD_TYPES, UrdfText
+from calib.core.robots.urdf.reader import HELD_TYPES
+from calib.core.robots.urdf.text import UrdfText
 
 _TEXT = """\
 # Robot description of {robot}. Lengths and angles are m and rad, or carry a unit: 0.04 mm, 1.5 deg.
@@ -233,13 +234,9 @@ def description_text(
     measure: str | None = None,
     words: Mapping[str, str] | None = None,
 ) -> str:
-    """Return the YAML text of a plain URDF's description, with comments.
+    """Return the YAML text of a plain URDF's description, with comments, and a remark on the joints that it leaves out.
 
-    Args:
-        description: Its description.
-        remark: Remark on the joints that it leaves out.
-        measure: The way to measure, a name in `MEASURES`; positions of the target if not given.
-        words: Further texts of this way to measure, as YAML.
+    `measure` is a name in `MEASURES` (positions of the target if not given), `words` its further texts, as YAML.
     """
     target = next(iter(description.targets))
     lengths, angles = default_sections()

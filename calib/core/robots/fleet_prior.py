@@ -84,8 +84,7 @@ class FleetSection(Section):
     def expected(self, parameters: Iterable[Parameter], where: str) -> tuple[Parameter, ...]:
         """Return parameters with their priors from the fleet; those that the fleet does not know stay as they are.
 
-        Raises:
-            DescriptionError: A number has a unit of another dimension, or a spread is not positive.
+        `DescriptionError` if a number has a unit of another dimension, or a spread is not positive.
         """
         return tuple(self._expected_parameter(p, where) if self.knows(p.name) else p for p in parameters)
 
@@ -102,12 +101,7 @@ class FleetSection(Section):
         return replace(parameter, sigma_si=sigma, prior=True, mean_si=parameter.nominal_si + offset)
 
     def widen(self, factor: float, parameters: Iterable[Parameter]) -> FleetSection:
-        """Return the fleet's prior with all uncertainties multiplied by a factor.
-
-        Args:
-            factor: The factor.
-            parameters: Parameters of the robot, whose dimensions tell what spreads mean.
-        """
+        """Return the fleet's prior with all uncertainties times a factor; dimensions are those of `parameters`."""
         dimension = {p.name: p.dimension for p in parameters}
         wide = {
             name: parameter.model_copy(update={"spread": factor * quantity(parameter.spread, dimension[name], name)})

@@ -39,11 +39,7 @@ _SAME_AXIS = 1e-3  # two axes turn a link alike if their parts across gravity di
 
 @dataclass(frozen=True)
 class GravityTurn(JointTerm):
-    """Two turns of gravity's direction. They move every joint that yields under gravity, by its compliance.
-
-    Attributes:
-        driven: Names of the driven joints that give way.
-    """
+    """Two turns of gravity's direction. They move every joint that yields under gravity, by its compliance."""
 
     adds = False
     cause = "load (compliance)"
@@ -117,16 +113,9 @@ def turned_joints(
 ) -> FloatArray:
     """Return the angles of two joints at which a sensor would read gravity as it did, (n, 2) [rad]; NaN if none.
 
-    Newton's method from their values in `q`: with g as read, R of the sensor's link and axes e of the joints in the
-    root link, R g = d, and its derivative by a joint is e x R g. Of three equations, two count: all vectors have
-    length 1.
-
-    Args:
-        mechanism: The nominal mechanism.
-        section: The sensor.
-        q: Actuated joints, (n, n_actuated); the two are where to start.
-        read: Its readings, (n, 3).
-        down: Direction of gravity in the root link, (n, 3).
+    Newton's method from their values in q (n, n_actuated): with g as read (n, 3), d the direction of gravity (n, 3), R
+    of the sensor's link and axes e of the joints in the root link, R g = d, and its derivative by a joint is e x R g.
+    Of three equations, two count: all vectors have length 1.
     """
     model, index = mechanism.model, mechanism.joint(section.frame)
     data, columns = model.createData(), [mechanism.actuated.index(name) for name in section.joints]
@@ -163,7 +152,6 @@ def accelerations(
     """Return the acceleration by gravity at each visit in the root link's axes, and its derivative by each turn.
 
     Args:
-        section: Entry of a description.
         mechanism: The nominal mechanism.
         joints: All joints, (n, n_joints) [m or rad].
         context: Readings of sensors, and their setups.
@@ -195,19 +183,16 @@ def _measured_direction(
     """Directions that sensors read (n, 3), in the axes of the root link, (n, 3)."""
     if section.frame is None:
         return down
-    return np.asarray(np.einsum("nab,nb->na", _rotations(mechanism, section.frame, joints), down))
+    pair = RelativeFrame(section.frame, 0, mechanism.joint(section.frame), True, ())
+    rotation, _ = kinematics.seen_frame(kinematics.sweep(mechanism, joints, (pair,), poses_only=True), pair)
+    return np.asarray(np.einsum("nab,nb->na", rotation, down))
 
 
 def contradiction_angles(description: Description, mechanism: Mechanism, q: FloatArray, context: Context) -> FloatArray:
-    """Return the angle between read and stated gravity, (n,) [rad]; NaN where it is not too large.
+    """Return the angle between read and stated gravity, (n,) [rad], at joints q (n, n_actuated) of the nominal
+    mechanism.
 
-    NaN, too, where the sensor's link is in a loop.
-
-    Args:
-        description: Description of the robot.
-        mechanism: The nominal mechanism.
-        q: Actuated joints, (n, n_actuated) [m or rad].
-        context: Readings of sensors, and their setups.
+    NaN where it is not too large, and where the sensor's link is in a loop.
     """
     section, result = description.gravity, np.full(len(q), np.nan)
     if section is None or context.down is None:
@@ -236,12 +221,6 @@ def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:
     return rotation, cross @ rotation
 
 
-def _rotations(mechanism: Mechanism, frame: str, joints: FloatArray) -> FloatArray:
-    """Orientation of a link in the root link, (n, 3, 3)."""
-    pair = RelativeFrame(frame, 0, mechanism.joint(frame), True, ())
-    return kinematics.seen_frame(kinematics.sweep(mechanism, joints, (pair,), poses_only=True), pair)[0]
-
-
 def turn_columns(
     terms: tuple[JointTerm, ...],
     mechanism: Mechanism,
@@ -252,12 +231,7 @@ def turn_columns(
 ) -> FloatArray:
     """Return the derivative of the errors of the joints that give way by the turns, (n, n_giving_way, n_turns).
 
-    Args:
-        terms: All terms, the turns last.
-        q: Commands, (n, n_actuated) [m or rad].
-        context: Their conditions, the torque among them.
-        slopes: Derivative of the torque by each turn, (n, n_driven) each.
-        values: Coefficients of all terms, (n_coefficients,).
+    The turns are the last of the terms; `slopes` are derivatives of the torque by each, (n, n_driven).
     """
     moved = terms[-1].driven_joint_names(mechanism.dimensions)
     result, start = np.zeros((len(q), len(moved), len(slopes))), 0
@@ -291,10 +265,8 @@ def gravity_torque(
         tau_a = E_a^T g + (dp/da)^T E_p^T g,      g = g(masses) - m J_x^T gravity,      dp/da = -C_p^-1 C_a
 
     Args:
-        urdf: The URDF with its masses.
         mechanism: The nominal mechanism.
-        q: Driven joints, (n, n_driven).
-        passive: Passive joints there, (n, n_passive).
+        q, passive: Driven joints (n, n_driven), and passive joints there (n, n_passive).
         slope: C_p there, (n, n_passive, n_passive).
         load: Mass of the payload, (n,) [kg].
         payload: Frame at whose origin it hangs; None: that of the first target that motors move.
@@ -334,10 +306,7 @@ def _gravity(model: pin.Model, joints: FloatArray, acceleration: FloatArray) -> 
 
 
 def with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:
-    """Return the model with the masses of the URDF, if it has any.
-
-    What hangs on fixed joints is part of the link before.
-    """
+    """Return the model with the masses of the URDF, if it has any; fixed links are part of the link before."""
     full_model = pin.buildModelFromXML(urdf.source.decode())
     inertias = {
         name: inertia for name, inertia in zip(full_model.names, full_model.inertias, strict=True) if inertia.mass > 0

@@ -52,10 +52,7 @@ def linearise(
 ) -> Linearisation:
     """Return positions of all targets and their derivative by every parameter, at the robot's current values.
 
-    Args:
-        configurations: Assembled poses, from `robot.assemble`.
-        turns: Whether to include the derivative of the targets' orientations.
-        joints: Whether to include derivatives by the actuated joints.
+    `turns` adds the derivative of the targets' orientations, `joints` derivatives by the actuated joints.
     """
     if not robot.terms and not joints:
         twists = parameter_twists(robot)
@@ -78,7 +75,7 @@ def origin_jacobian(
     *,
     turns: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return positions of all targets and their derivative by the right-perturbation twist of every origin.
+    """Return positions of all targets (n, n_targets, 3) [m], and their derivative by the twist of every origin.
 
     Args:
         configurations: Assembled poses.
@@ -86,8 +83,8 @@ def origin_jacobian(
         turns: Whether dw follows dp.
 
     Returns:
-        Positions (n, n_targets, 3) [m] and derivative (n, n_targets, 3 or 6, 6 n_joints or k), origins in the order of
-        `mechanism.origin_names`, six components [linear; angular] each, in the joint's own frame.
+        Positions, and derivative (n, n_targets, 3 or 6, 6 n_joints or k): origins in the order of
+        `mechanism.origin_names`, six components [linear; angular] each, right perturbations in the joint's own frame.
     """
     n, n_targets = len(configurations.actuated), len(mechanism.targets)
     width = 6 * mechanism.n_joints if twists is None else twists.shape[1]
@@ -106,15 +103,10 @@ def sweeps(
     """Yield chunks of assembled poses and their kinematics, for these pairs of frames and, for derivatives, `loops`."""
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     needed = pairs + mechanism.loops if loops else pairs
-    functions = kernels(mechanism, len(joints))
-    shared = kinematics.SweepCache(mechanism, needed, functions)
-    if functions is None:
-        for part in kinematics.chunks(len(joints), kinematics.n_at_once(shared.reduced)):
-            yield part, kinematics.sweep(mechanism, joints[part], needed, shared, poses_only=needed == pairs)
-    else:
-        for start in range(0, len(joints), _CHUNK_COMPILED):
-            part = slice(start, min(start + _CHUNK_COMPILED, len(joints)))
-            yield part, kinematics.compiled_sweep(shared, joints[part])
+    shared = kinematics.SweepCache(mechanism, needed, kernels(mechanism, len(joints)))
+    size = kinematics.n_at_once(shared.reduced) if shared.functions is None else _CHUNK_COMPILED
+    for part in kinematics.chunks(len(joints), size):
+        yield part, kinematics.sweep(mechanism, joints[part], needed, shared, poses_only=needed == pairs)
 
 
 def relative_poses(
@@ -137,30 +129,18 @@ def relative_motion(
     angular: bool,
     out: FloatArray | None = None,
 ) -> FloatArray:
-    """Return d[dp; dw]/d(origin twists) of frames b seen from frames a, loops closed.
+    """Return d[dp; dw]/d(origin twists) of frames b seen from frames a, (n, n_pairs, 3 or 6, 6 n_joints or k).
 
     Args:
-        swept: Kinematics of the poses.
         twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
         angular: Whether to include dw.
         out: Array for the result, if there is one.
-
-    Returns:
-        (n, n_pairs, 3 or 6, 6 n_joints or k).
     """
-    each = 6 if angular else 3
-    n, n_rows = len(swept.poses), each * len(pairs)
-    signs = np.repeat([mechanism.direction_signs(pair) for pair in pairs], each, axis=0)
-    direct, along = np.zeros((n_rows, len(mechanism.passive))), swept.shared.twist_map(twists, signs)
-    result = np.empty((n, len(pairs), each, along.before.shape[2])) if out is None else out
-    if swept.shared.functions is not None:
-        index = swept.index
-        rows = [(index[pair.a], index[pair.b], row % 3, row // 3) for pair in pairs for row in range(each)]
-        _fill_motion_compiled(swept, np.array(rows).T.copy(), along, direct, result.reshape(n, n_rows, -1))
-    else:
-        mapping = kinematics.motion_map(swept, pairs, angular=angular)
-        _fill_motion(mechanism, swept, mapping, along, direct, result.reshape(n, n_rows, -1))
-    return result
+    rows, n = kinematics.motion_rows(swept, pairs, angular=angular), len(swept.poses)
+    signs = np.repeat([mechanism.direction_signs(pair) for pair in pairs], rows.shape[1] // len(pairs), axis=0)
+    result = None if out is None else out.reshape(n, rows.shape[1], -1)
+    moved = _motion(swept, rows, signs, twists, np.zeros((rows.shape[1], len(mechanism.passive))), result)
+    return moved.reshape(n, len(pairs), -1, moved.shape[2])
 
 
 def passive_motion(
@@ -169,59 +149,47 @@ def passive_motion(
     """Return d(q_j)/d(origin twists) of one joint coordinate that the loops determine, (n, 1, k).
 
     Args:
-        swept: Kinematics of the poses.
         coordinate: d(q_j)/d(passive joints), (n_passive,); all zero for a joint that the user commands.
         twists: Combinations to take the derivative along, (6 n_joints, k).
     """
-    n = len(swept.rotation)
     if not np.any(coordinate):
-        return np.zeros((n, 1, twists.shape[1]))
-    along = swept.shared.twist_map(twists, np.zeros((1, mechanism.n_joints)))
-    result = np.empty((n, 1, along.before.shape[2]))
-    if swept.shared.functions is not None:
-        _fill_motion_compiled(swept, np.zeros((4, 1), dtype=np.intp), along, coordinate[None], result)
-    else:
-        _fill_motion(mechanism, swept, np.zeros((n, 1, 6)), along, coordinate[None], result)
-    return result
+        return np.zeros((len(swept.poses), 1, twists.shape[1]))
+    no_frames, signs = np.zeros((4, 1), dtype=np.intp), np.zeros((1, mechanism.n_joints))
+    return _motion(swept, no_frames, signs, twists, coordinate[None])
 
 
-def _fill_motion_compiled(
+def _motion(
     swept: kinematics.Sweep,
     rows: IntArray,
-    along: kinematics.TwistMap,
+    signs: FloatArray,
+    twists: FloatArray | None,
     direct: FloatArray,
-    result: FloatArray,
-) -> None:
-    """Do the same as `_fill_motion`, by compiled code; rows (4, n_rows) are frames a and b, axis, and 1 for turns."""
-    shared = swept.shared
-    signs = np.ascontiguousarray(along.signs)
-    shared.functions.motion(shared.tree, shared.loops, swept.poses, rows, signs, direct, along.entries, result)
-
-
-def _fill_motion(
-    mechanism: Mechanism,
-    swept: kinematics.Sweep,
-    mapping: FloatArray,
-    along: kinematics.TwistMap,
-    direct: FloatArray,
-    result: FloatArray,
-) -> None:
-    """Fill `result` (n, n_rows, k) with dx/dxi of the module docstring along origin twists.
+    out: FloatArray | None = None,
+) -> FloatArray:
+    """Return dx/dxi of the module docstring, (n, n_rows, 6 n_joints or k), in `out` if that is given.
 
     Args:
-        swept: Kinematics of the poses.
-        mapping: Map from V_b - V_a to x, (n, n_rows, 6).
+        rows: What x is: frames and coordinates (`kinematics.motion_rows`), (4, n_rows).
+        signs: Sign with which each joint moves each row, (n_rows, n_joints).
+        twists: Combinations to take the derivative along, (6 n_joints, k); None: every origin twist.
         direct: Further derivative of x by the passive joints, (n_rows, n_passive).
-        result: Array to fill.
     """
-    if not mechanism.loops:
-        kinematics.origin_derivative(swept, mapping, None, along, result)
-        return
-    maps, (of_rows, of_loops) = kinematics.gap_maps(swept), along.passive
-    by_passive = direct + kinematics.joint_derivative(swept, mapping, of_rows)
-    slope = kinematics.joint_derivative(swept, maps, of_loops)
-    through = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
-    kinematics.origin_derivative(swept, mapping, (through, maps), along, result)
+    shared = swept.shared
+    along = shared.twist_map(twists, signs)
+    result = np.empty((len(swept.poses), len(signs), along.before.shape[2])) if out is None else out
+    if shared.functions is not None:
+        signs = np.ascontiguousarray(along.signs)
+        shared.functions.motion(shared.tree, shared.loops, swept.poses, rows, signs, direct, along.entries, result)
+        return result
+    mapping, through = kinematics.motion_map(swept, rows), None
+    if shared.mechanism.loops:
+        maps, (of_rows, of_loops) = kinematics.gap_maps(swept), along.passive
+        by_passive = direct + kinematics.joint_derivative(swept, mapping, of_rows)
+        slope = kinematics.joint_derivative(swept, maps, of_loops)
+        opened = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
+        through = opened, maps
+    kinematics.origin_derivative(swept, mapping, through, along, result)
+    return result
 
 
 def parameter_twists(robot: Robot) -> FloatArray:
@@ -240,7 +208,6 @@ def derivative_by_parameters(
     """Return the derivative by some of the parameters, (n, n_rows, n_index): a part of `derivative` itself, or new.
 
     Args:
-        robot: Its joint terms belong to the columns.
         derivative: By the parameters that are no coefficients, then by the driven joints, (n, n_rows, k + n_driven).
         columns: phi of each joint term (`columns_of_terms`), (n, n_moved, n_coefficients) each.
         index: Numbers of the parameters, in rising order, (n_index,).

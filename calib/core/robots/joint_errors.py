@@ -18,7 +18,8 @@ from calib.core.robots.mechanism_builder import build_mechanism, tilted_joints
 from calib.core.robots.robot_data import RobotData, SomeRobot
 from calib.core.robots.terms.term import Context, Joint, JointTerm, TermSection
 from calib.core.robots.terms.terms import TERMS
-from calib.core.robots.urdf.text import UrdfJoint, UrdfText
+from calib.core.robots.urdf.reader import UrdfJoint
+from calib.core.robots.urdf.text import UrdfText
 
 _COMMAND_ROUNDS = 50
 _COMMANDED = 1e-10  # largest distance of a joint from its goal at the end [m or rad]
@@ -28,9 +29,7 @@ _CONVERGED = 1e-14  # the iteration ends once all joints are nearer to their goa
 def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, where: str) -> tuple[JointTerm, ...]:
     """Build the joint terms of a description.
 
-    Raises:
-        DescriptionError: A joint is unknown, a sigma has another dimension, an entry does not fit its joint, the frame
-            of the payload does not exist or does not move, or a frame or setup of gravity does not exist.
+    `DescriptionError` if an entry, its sigma or its joint is wrong, or a payload, frame or setup does not exist.
     """
     check_gravity(description, mechanism, where)
     if (payload := description.payload) is not None:
@@ -72,12 +71,10 @@ def driven_by(term: JointTerm, mechanism: Mechanism) -> list[int]:
 def columns_of_terms(
     terms: tuple[JointTerm, ...], mechanism: Mechanism, q: FloatArray, context: Context
 ) -> tuple[FloatArray, ...]:
-    """Return phi of each term for each joint that it moves, (n, n_moved, n_coefficients) each.
+    """Return phi of each term for each joint that it moves, (n, n_moved, n_coefficients) each, at commands q (n,
+    n_actuated).
 
     Joint errors are phi times the coefficients. phi is 0 for terms that add no errors, or whose torque is missing.
-
-    Args:
-        q: Commands, (n, n_actuated) [m or rad].
     """
     columns = []
     for term in terms:
@@ -147,12 +144,7 @@ def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None
 
 
 def actual_joints(robot: RobotData, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
-    """Return the driven joints, (n, n_driven), at commands q (n, n_actuated).
-
-    Args:
-        q: The commands [m or rad].
-        columns: phi of the joint terms (`columns_of_terms`).
-    """
+    """Return the driven joints (n, n_driven) at commands q (n, n_actuated) [m or rad]; `columns`: phi of the terms."""
     if not robot.terms:
         return q
     errors = joint_errors(robot.terms, robot.mechanism, columns, robot.values[robot.coefficients], len(q))
@@ -160,15 +152,13 @@ def actual_joints(robot: RobotData, q: FloatArray, columns: tuple[FloatArray, ..
 
 
 def commands_for(robot: RobotData, actual: FloatArray, context: Context | None = None) -> FloatArray:
-    """Return the commands at which the actuated joints are at `actual`, (n, n_actuated) [m or rad].
+    """Return the commands (n, n_actuated) at which the driven joints (n, n_driven or n_actuated) are at `actual` [m or
+    rad].
 
     q = actual - dq(q) is iterated until it converges. Joint errors change so little with q that each round gains
     digits. Where they change much, as where backlash changes its side, a round that gains nothing is taken back, and
     the next step is half as long. The result is NaN where this does not converge: a joint that falls from one side of
     its play to the other cannot be between them.
-
-    Args:
-        actual: Values to reach; where all driven joints are given, (n, n_driven), only the actuated ones count.
     """
     n_actuated = len(robot.joint_names)
     goal = q = np.array(actual[:, :n_actuated])

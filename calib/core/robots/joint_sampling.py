@@ -1,19 +1,29 @@
-"""Random joint values within joint limits that the robot can reach.
+"""Joint values of a robot: spread evenly, or drawn at random within joint limits where the robot can reach them.
 
-A closed-loop robot can reach only a part of the box of its joint limits, sometimes a small one. Therefore the box is
-shrunk towards home, by a third each time, until enough of the values in it are usable. Where targets must stay in a
-range, the box is not shrunk, since home may be outside of the range; values are tried until enough are usable.
+Evenly: the same points however the robot is described. The coordinates of a Halton point are unlike each other. The
+robot at home decides which joint gets which: joints are sorted by their distance from the base, then by how they move
+the targets; and the motion of the targets decides which end of a joint's range is the lower one. So names and order of
+joints do not count, nor which direction of an axis is called positive. The motion is compared along skew directions
+that no robot's axes have, so that rounding decides nothing.
+
+At random: a closed-loop robot can reach only a part of the box of its joint limits, sometimes a small one. Therefore
+the box is shrunk towards home, by a third each time, until enough of the values in it are usable. Where targets must
+stay in a range, the box is not shrunk, since home may be outside of the range; values are tried until enough are
+usable.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, InputError, require_known
 from calib.core.base.words import listing, warn_once
+from calib.core.numerics.halton import halton
+from calib.core.robots.closure import AssemblyMode, actuated_jacobian
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.urdf.text import UrdfText
 
@@ -27,6 +37,23 @@ _ROUNDS = 50  # rounds of trials where targets must stay in a range
 _AT_ONCE = 2**15  # values tried at once
 _LONGEST = 1e3  # stroke of a sliding joint [m]
 _MOST_TURNS = 10
+_DIRECTIONS = np.array([0.083, 0.131, 0.179, 0.777, 1.139, 1.621])  # directions of velocities and turns of a target
+
+
+def joint_samples(mode: AssemblyMode, count: int) -> FloatArray:
+    """Return points for the home of a nominal robot, (count, n_driven), from 0 to 1; the first is a corner."""
+    mechanism = mode.mechanism
+    motion = np.zeros(len(mechanism.driven))
+    for target in mechanism.targets:  # seen from the base's link, wherever the measurement frame is
+        seen = replace(target, a=mechanism.model.parents[target.a])
+        jacobian = actuated_jacobian(mechanism, seen, mode.actuated[None], mode.passive[None])[2][0]
+        motion += _DIRECTIONS / np.repeat([mechanism.length, 1.0], 3) @ jacobian * mechanism.driven_scale
+    n_actuated = len(mechanism.actuated)
+    order = np.arange(len(motion))  # tilts of links come last
+    order[:n_actuated] = np.lexsort((np.abs(motion[:n_actuated]), mechanism.depths))
+    samples = np.empty((count, len(motion)))
+    samples[:, order] = halton(count, len(motion))
+    return np.where(motion < 0, 1 - samples, samples)
 
 
 def validate_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
@@ -44,21 +71,11 @@ def validate_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
 def joint_box(
     mechanism: Mechanism, urdf: UrdfText, home: FloatArray, ranges: Ranges, path: str
 ) -> tuple[FloatArray, FloatArray]:
-    """Return joint limits; a turning joint without them, or with very wide ones, gets half a turn to each side of home.
+    """Return lower and upper joint limits, (n_actuated,) each [m or rad].
 
-    Joints with a range get this range, as far as it is inside their limits.
-
-    Args:
-        urdf: The URDF with its limits.
-        home: Home of the actuated joints, (n_actuated,) [m or rad].
-        ranges: Ranges that are valid.
-
-    Returns:
-        Lower and upper, (n_actuated,) each [m or rad].
-
-    Raises:
-        InputError: A range is outside the limits of its joint.
-        DataError: A prismatic joint has no limits, or the limits of a joint leave no room to move.
+    A turning joint without limits, or with very wide ones, gets half a turn to each side of `home` (n_actuated,).
+    Joints with a range get this range, as far as it is inside their limits; one outside is an `InputError`. `DataError`
+    if a prismatic joint has no limits, or the limits of a joint leave no room to move.
     """
     joints = {joint.name: joint for joint in urdf.joints}
     still = [name for name in mechanism.actuated if name not in ranges and not joints[name].moves]
@@ -99,16 +116,12 @@ def draw_spread(
     *,
     draw_in: bool,
 ) -> FloatArray:
-    """Return up to `count` random values in a box, fewer if too few are usable; see the module docstring.
+    """Return up to `count` random values in a box, (n, n_actuated) [m or rad]; fewer if too few are usable.
 
     Args:
         box: Lower and upper, (n_actuated,) each [m or rad].
-        home: Centre towards which the box is shrunk, (n_actuated,) [m or rad].
+        home: Centre towards which the box is shrunk, if `draw_in`, (n_actuated,) [m or rad].
         usable: Function that returns the indices of usable joint values among (n, n_actuated).
-        draw_in: Whether the box is shrunk.
-
-    Returns:
-        (n, n_actuated) [m or rad].
     """
     lower, upper = box
     middle = np.clip(home, lower, upper)

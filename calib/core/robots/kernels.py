@@ -16,42 +16,19 @@ errors, which takes longer than all of the rest.
 
 from __future__ import annotations
 
-import logging
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numba.core import event
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.robots.mechanism import JointSubset, Mechanism
 
-_LOG = logging.getLogger("calib")
 _JIT: Any = partial(njit, error_model="numpy", fastmath={"contract"})
 _compiled = _JIT(cache=True)
 _part = _JIT(no_cpython_wrapper=True, no_cfunc_wrapper=True)  # of compiled functions, never called from Python
-
-
-class _FirstUse(event.Listener):
-    """Reports once that functions of this file are compiled, because no stored code was found."""
-
-    def __init__(self) -> None:
-        self._notified = False
-
-    def on_start(self, event: Any) -> None:
-        """Report the first compilation of a function of this module."""
-        compiled = getattr(event.data.get("dispatcher"), "py_func", None)
-        if not self._notified and getattr(compiled, "__module__", "") == __name__:
-            self._notified = True
-            _LOG.warning("numba compiles the kinematics; this takes about 5 s, once for each version")
-
-    def on_end(self, event: Any) -> None:
-        """Say nothing."""
-
-
-event.register("numba:compile", _FirstUse())  # type: ignore[no-untyped-call]
 
 
 class Tree(NamedTuple):

@@ -43,24 +43,14 @@ def n_at_once(reduced: JointSubset) -> int:
 
 
 def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
-    """Yield n poses in parts of about equal size, at most 1.5 times `size`, so that no part is small.
-
-    Args:
-        n: Number of poses.
-        size: Number of poses to compute at a time.
-    """
+    """Yield n poses in parts of about equal size, at most 1.5 times `size`, so that no part is small."""
     count = max(round(n / size), min(n, 1))
     for k in range(count):
         yield slice(k * n // count, (k + 1) * n // count)
 
 
 def twists_in_world(swept: Sweep, joints: IntArray, twists: FloatArray) -> FloatArray:
-    """Return Ad(T_before) xi, (n, 6, n_twists), of twists in the frames before origins.
-
-    Args:
-        joints: Place of each twist's origin among the joints that count, (n_twists,).
-        twists: xi, (n_twists, 6).
-    """
+    """Return Ad(T_before) xi, (n, 6, n_twists), of twists xi (n_twists, 6) before origins, `joints` (n_twists,)."""
     before, (n, k) = swept.reduced.parents[joints], (len(swept.poses), len(joints))
     frames, at = np.unique(before, return_inverse=True)
     spread = np.zeros((len(frames), 3, 2, k))  # R xi of all frames and twists is one product
@@ -142,7 +132,7 @@ class Coordinates:
         """Return the joints that follow some coordinates.
 
         Args:
-            signs: Effect of each joint that counts: +1 moves only b, -1 only a, else 0, (n_rows or 1, n_reduced).
+            signs: Effect of each joint: +1 moves only b, -1 only a, else 0, (n_rows or 1, n_reduced).
             select: E of the coordinates, (n_joints, n_coordinates).
         """
         left = select[reduced.joints]
@@ -153,12 +143,9 @@ class Coordinates:
 
 
 class SweepCache:
-    """Data shared by sweeps over many poses of a mechanism, computed once.
+    """Data shared by sweeps over many poses of a mechanism, for these pairs of frames, computed once.
 
-    Args:
-        mechanism: The robot.
-        pairs: Frames that are needed.
-        functions: The compiled functions, where these compute the poses.
+    `functions` are the compiled ones, where these compute the poses.
     """
 
     def __init__(self, mechanism: Mechanism, pairs: tuple[RelativeFrame, ...], functions: Any = None) -> None:
@@ -193,12 +180,7 @@ class SweepCache:
         return self.reduced.places[a], self.reduced.places[b], axis
 
     def twist_map(self, twists: FloatArray | None, signs: FloatArray) -> TwistMap:
-        """Return twists along which to differentiate; those of the last call are kept.
-
-        Args:
-            twists: (6 n_joints, k), or None for every origin twist.
-            signs: Effect of each joint on each row, (n_rows, n_joints).
-        """
+        """Return a `TwistMap` of twists (6 n_joints, k) and signs (n_rows, n_joints); that of the last call is kept."""
         last, counts, n_rows = self._along, self.reduced.joints, len(signs)
         signs = np.concatenate([signs, self.mechanism.loop_signs])[:, counts]
         if last is None or last.twists is not twists or not np.array_equal(last.signs, signs):
@@ -250,16 +232,6 @@ class Sweep:
         return self.rotation.transpose(0, 1, 3, 2)[:, a, axis], self.translation[:, b]
 
 
-def compiled_sweep(shared: SweepCache, joints: FloatArray) -> Sweep:
-    """Return the sweep of `sweep` without the Jacobian, by compiled code.
-
-    Args:
-        shared: The robot, the frames that are needed, and the compiled functions.
-        joints: Configurations, (n, n_joints) [m or rad].
-    """
-    return Sweep(shared, shared.functions.poses(shared.tree, joints[:, shared.reduced.joints]), None)
-
-
 def sweep(
     mechanism: Mechanism,
     joints: FloatArray,
@@ -268,16 +240,18 @@ def sweep(
     *,
     poses_only: bool = False,
 ) -> Sweep:
-    """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad].
+    """Run Pinocchio, or compiled code, over the configurations `joints`, (n, n_joints) [m or rad].
 
     "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.reduced_to`).
 
     Args:
         joints: Configurations.
         shared: Data that other sweeps for these pairs have computed.
-        poses_only: Whether the Jacobian is not needed.
+        poses_only: Whether the Jacobian is not needed; compiled code never computes it.
     """
     shared = SweepCache(mechanism, pairs) if shared is None else shared
+    if shared.functions is not None:
+        return Sweep(shared, shared.functions.poses(shared.tree, joints[:, shared.reduced.joints]), None)
     model, data, seen, moved = shared.pinocchio
     n, q = len(joints), np.ascontiguousarray(joints[:, shared.reduced.joints])
     poses = np.empty((n, len(seen) + 1, 12))
@@ -311,8 +285,7 @@ def gaps(swept: Sweep) -> FloatArray:
     if any(loop.full_pose for loop in loops):
         return np.concatenate([value(swept, loop) for loop in loops], axis=1)
     axes, points = swept.loop_frames
-    components: FloatArray = np.einsum("nij,nij->ni", axes, points - swept.translation[:, swept.shared.loop_rows[0]])
-    return components
+    return np.einsum("nij,nij->ni", axes, points - swept.translation[:, swept.shared.loop_rows[0]])
 
 
 def gap_maps(swept: Sweep) -> FloatArray:
@@ -369,35 +342,29 @@ def _pose_map(swept: Sweep, a: int, b: int) -> FloatArray:
     return maps
 
 
-def motion_map(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool) -> FloatArray:
-    """Return the maps from V_b - V_a (world twists) to [dp; dw], the motion of each b in the axes of its a.
+def motion_rows(swept: Sweep, pairs: tuple[RelativeFrame, ...], *, angular: bool) -> IntArray:
+    """Return frames a and b, axis, and 1 for a turn, of each row of [dp; dw], (4, n_rows), pair by pair.
+
+    [dp; dw] is the motion of each b in the axes of its a; without `angular`, dp alone.
+    """
+    every, index = range(6 if angular else 3), swept.index
+    return np.array([(index[pair.a], index[pair.b], row % 3, row // 3) for pair in pairs for row in every]).T.copy()
+
+
+def motion_map(swept: Sweep, rows: IntArray) -> FloatArray:
+    """Return the map from V_b - V_a (world twists) to rows (4, n_rows) of `motion_rows`, (n, n_rows, 6).
 
     dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
-
-    Args:
-        angular: Whether to return dw too.
-
-    Returns:
-        (n, n_pairs * (3 or 6), 6), one pair's rows after the other's.
     """
-    a, b = ([swept.index[frame] for frame in frames] for frames in zip(*((p.a, p.b) for p in pairs), strict=True))
-    n, width = len(swept.rotation), 6 if angular else 3
-    axes = swept.rotation[:, a].transpose(0, 1, 3, 2)
-    result = np.zeros((n, len(pairs), width, 6))
-    points = np.repeat(swept.translation[:, b], 3, axis=1)
-    result[:, :, :3] = _with_moments(points, axes.reshape(n, -1, 3)).reshape(n, -1, 3, 6)
-    if angular:
-        result[:, :, 3:, 3:] = axes
-    return result.reshape(n, -1, 6)
+    a, b, axis, turns = rows
+    axes, is_turn = swept.rotation.transpose(0, 1, 3, 2)[:, a, axis], turns == 1
+    result = _with_moments(swept.translation[:, b], axes)
+    result[:, is_turn, :3], result[:, is_turn, 3:] = 0.0, axes[:, is_turn]
+    return result
 
 
 def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates) -> FloatArray:
-    """Return d(value)/d(coordinates), (n, n_rows, n_coordinates).
-
-    Args:
-        mapping: Result of `twist_map` or `motion_map`.
-        coordinates: Coordinates in the model of the same joints.
-    """
+    """Return d(value)/d(coordinates), (n, n_rows, n_coordinates), from a `twist_map` or `motion_map` (n, n_rows, 6)."""
     assert swept.jacobian is not None  # compiled code does not come here
     moved: FloatArray = np.matmul(mapping, swept.jacobian[:, :, coordinates.joints]) * coordinates.weights
     return moved if coordinates.sums is None else moved @ coordinates.sums
@@ -406,13 +373,9 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, coordinates: Coordinates
 def origin_derivative(
     swept: Sweep, mapping: FloatArray, loops: tuple[FloatArray, FloatArray] | None, along: TwistMap, result: FloatArray
 ) -> None:
-    """Compute map (V_b - V_a) along origin twists, minus their effect through the loops, (n, n_rows, k).
+    """Fill `result` (n, n_rows, k) with map (V_b - V_a) along origin twists, minus their effect through the loops.
 
-    Args:
-        mapping: Map from V_b - V_a to the rows, (n, n_rows, 6).
-        loops: By how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
-        along: The twists, and what they move.
-        result: Array to fill, (n, n_rows, k).
+    `loops`: by how much the opening of each loop's row moves the rows, (n, n_rows, n_loop_rows), and `gap_maps`.
     """
     n, n_rows = mapping.shape[:2]
     joints, columns, twists = along.entries

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from calib.core.base.errors import DescriptionError, InputError, nearest, require_known
-from calib.core.base.mapped_columns import mapped_column
 from calib.core.base.registry import load_group
 from calib.core.base.sections import read_yaml
-from calib.core.base.units import Dimension, per_si
+from calib.core.base.units import Dimension, mapped_column, per_si
 from calib.core.instruments.kind import Instrument, JointInstrument
 from calib.core.robots.described_instruments import instruments_of, places_of
 from calib.core.robots.description import (
@@ -29,7 +28,7 @@ from calib.core.robots.loops import check_home
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.mechanism_builder import build_mechanism, home_values
 from calib.core.robots.parametrisation import build_parametrisation, default_sections
-from calib.core.robots.robot import Robot, require_robot
+from calib.core.robots.robot import Robot
 from calib.core.robots.terms.gravity import columns_of
 from calib.core.robots.terms.terms import condition_columns
 from calib.core.robots.urdf.arm_chain import ArmChain, arm_chain
@@ -67,11 +66,10 @@ def load(path: str | Path) -> Robot:
 def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None) -> tuple[Description, str]:
     """Return the description that a file of a robot stands for, and a remark on the choice.
 
-    That is its arm; with the loops of an MJCF or SDF file, the whole robot.
+    That is its arm (to the link `target`, if it is given); with the loops of an MJCF or SDF file, the whole robot.
 
     Args:
         urdf_path: How the description names the file.
-        target: Link that carries the measured point; the arm's end if not given.
 
     Raises:
         DescriptionError: There is no such link, or nothing moves it; or loops that do not determine the robot.
@@ -102,25 +100,16 @@ def _with_loops(description: Description, urdf: UrdfText) -> Description:
     mjcf = urdf.mjcf
     if mjcf is None or not mjcf.loops or "closed_loop" in description.model_fields_set:
         return description
-    return description.model_copy(
-        update={
-            "closed_loop": tuple(loop.links for loop in mjcf.loops),
-            "type": tuple(loop.kind for loop in mjcf.loops),
-            "closed_loop_axes": tuple(loop.axes for loop in mjcf.loops),
-            "home": mjcf.home | description.home,
-        }
-    )
+    links, kinds, axes = zip(*((loop.links, loop.kind, loop.axes) for loop in mjcf.loops), strict=True)
+    ends = {"closed_loop": links, "type": kinds, "closed_loop_axes": axes}
+    return description.model_copy(update=ends | {"home": mjcf.home | description.home})
 
 
 def describe(chain: ArmChain, urdf_path: str) -> Description:
-    """Return the description that a plain URDF stands for.
+    """Return the description of a chain of joints in a plain URDF, which it calls `urdf_path`.
 
     The base is the link that the first moving joint stands on, not the root: if the base is unknown, a fixed joint
     between the two does not matter.
-
-    Args:
-        chain: Its arm, or the chain to the link that carries the measured point.
-        urdf_path: How the description names the URDF.
     """
     return Description(
         urdf=urdf_path,
@@ -173,16 +162,15 @@ RobotLike = Robot | Path | str
 
 
 def as_robot(robot: RobotLike) -> Robot:
-    """Return a robot as it is, or loaded from its description or URDF.
-
-    Raises:
-        InputError: It is something else, such as a fit; or a folder, whose description lacks the calibrated values.
-    """
+    """Return a robot as it is, or loaded from its file; something else, such as a folder, is an `InputError`."""
     if isinstance(robot, (Path, str)):
         if Path(robot).is_dir():
             raise InputError(f"{robot}: is a folder; the robot of a result is calib.load({str(robot)!r})")
         return load(robot)
-    require_robot(robot)
+    if not isinstance(robot, Robot):
+        raise InputError(
+            f"robot: expected a Robot, not {type(robot).__name__}; load one with calib.load; a fit has one as .robot"
+        )
     return robot
 
 
@@ -223,14 +211,7 @@ def with_model(robot: Robot, model: str) -> Robot:
 
 
 def build(description: Description, urdf: UrdfText, where: str) -> Robot:
-    """Put a robot together at its nominal values.
-
-    Args:
-        urdf: The URDF that it names.
-
-    Raises:
-        DescriptionError: Description and URDF do not fit each other.
-    """
+    """Put a robot together at its nominal values; a description that does not fit its URDF is a `DescriptionError`."""
     instruments = instruments_of(description, where)
     places = places_of(description, instruments, where)
     nominal = build_mechanism(urdf, description, instruments, where)
@@ -261,13 +242,8 @@ def _check_columns(
     dimensions |= condition_columns()
     for sensor in description.inclinometers:
         dimensions |= columns_of(sensor)
-    texts = {
-        name
-        for instrument in instruments
-        for name in (*instrument.text_columns(), instrument.label_column)
-        if name is not None
-    }
-    texts |= {"pose", "setup"}
+    labels = {instrument.label_column for instrument in instruments if instrument.label_column is not None}
+    texts = {"pose", "setup", *labels, *(name for instrument in instruments for name in instrument.text_columns())}
     taken: dict[str, str] = {}
     for foreign, column in description.columns.items():
         mapped = mapped_column(column)
@@ -295,13 +271,10 @@ def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], whe
         if not isinstance(instrument, JointInstrument):
             continue
         place = f"{where}: instruments.{instrument.name}.joint"
-        moving = [
-            name
-            for k, name in enumerate(mechanism.origin_names)
-            if np.any(mechanism.select_actuated[k]) or np.any(mechanism.select_passive[k])
-        ]
+        moves = np.any(mechanism.select_moving, axis=1)
+        moving = [name for name, is_moved in zip(mechanism.origin_names, moves, strict=True) if is_moved]
         require_known(instrument.joint, moving, f"{place}: no moving joint", DescriptionError)
         dimension_read, dimension = instrument.parts[0].dimension, mechanism.dimensions[instrument.joint]
         if dimension_read != dimension:
-            moves = "slides" if dimension == "length" else "turns"
-            raise DescriptionError(f"{place}: joint '{instrument.joint}' {moves}; set dimension: {dimension}")
+            how = "slides" if dimension == "length" else "turns"
+            raise DescriptionError(f"{place}: joint '{instrument.joint}' {how}; set dimension: {dimension}")

@@ -23,7 +23,7 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, hold
 from calib.core.base.errors import DescriptionError
-from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale, millimetres
+from calib.core.base.units import Dimension, display_unit
 from calib.core.base.words import joints_named
 from calib.core.numerics import linalg
 from calib.core.robots.closure import (
@@ -114,10 +114,9 @@ def carries_home(mechanism: Mechanism, mode: AssemblyMode) -> bool:
 
 
 def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:
-    """Bring turning joints within half a turn of home, or within their limits: a full turn is the same pose.
+    """Bring turning joints of (n, n_passive) [m or rad] within half a turn of home, or within their limits.
 
-    Args:
-        passive: Passive joints, (n, n_passive) [m or rad].
+    A full turn is the same pose.
     """
     turn = 2 * np.pi
     turns = np.round((passive - mode.passive) / turn)
@@ -140,12 +139,10 @@ def are_within_limits(mechanism: Mechanism, passive: FloatArray) -> BoolArray:
 
 
 def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each loop stays open at best in one pose: (n_loops,) [m] and (n_loops,) [rad].
+    """Return how far each loop stays open at best in a pose (n_actuated,) that does not close: (n_loops,) [m] and
+    [rad].
 
     All are 0 where the loops do close, but in another assembly mode, or where no way leads from home.
-
-    Args:
-        actuated: Actuated joints of a pose that could not be closed, (n_actuated,) [m or rad].
     """
     weight = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
 
@@ -161,11 +158,7 @@ def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray)
 
 
 def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> str:
-    """Return the reason why a pose could not be closed, in words.
-
-    Args:
-        actuated: Its actuated joints, (n_actuated,) [m or rad].
-    """
+    """Return the reason why a pose, its actuated joints (n_actuated,) [m or rad], could not be closed, in words."""
     passive, _, closes = follow(mechanism, mode, actuated[None])
     if closes[0]:
         passive = wrap_turns(mechanism, mode, passive)
@@ -184,7 +177,7 @@ def _joint_beyond_limits(mechanism: Mechanism, passive: FloatArray) -> str:
     excess = np.maximum(mechanism.lower - passive, passive - mechanism.upper)
     worst = int(np.argmax(excess))
     dimension: Dimension = "length" if mechanism.is_metre_column[worst] else "angle"
-    unit, factor = DISPLAY_UNIT[dimension], display_scale(dimension)
+    unit, factor = display_unit(dimension)
     value, low, high = (factor * float(x[worst]) for x in (passive, mechanism.lower, mechanism.upper))
     return (
         f"passive {joints_named(mechanism.passive[worst])} at {value:.4g} {unit}, beyond its limits"
@@ -193,14 +186,10 @@ def _joint_beyond_limits(mechanism: Mechanism, passive: FloatArray) -> str:
 
 
 def check_home(mechanism: Mechanism, home: dict[str, float], singularity_limit: float, where: str) -> AssemblyMode:
-    """Check that the home configuration closes, polish it, and record its assembly mode.
+    """Check that the home configuration (by joint name [m or rad]) closes, polish it, and record its assembly mode.
 
-    Args:
-        home: Joint values by name [m or rad]; names that are missing count as 0 where there are no loops.
-        singularity_limit: Smallest acceptable singular value of the scaled C_p at home.
-
-    Raises:
-        DescriptionError: Home does not close, or is singular.
+    Without loops, missing names count as 0. `DescriptionError` if home does not close, or is singular: the smallest
+    singular value of the scaled C_p is below the limit.
     """
     actuated = np.array([[home.get(name, 0.0) for name in mechanism.driven]])
     passive = np.array([[home.get(name, 0.0) for name in mechanism.passive]])
@@ -231,10 +220,10 @@ def _check_closed(mechanism: Mechanism, values: FloatArray, where: str) -> None:
     excess = np.maximum(lengths / limit, angles / _OPEN_HOME)
     loop = int(np.argmax(excess))
     if excess[loop] > 1:
-        turned = f" and {np.degrees(_OPEN_HOME):.0f} deg" if angles[loop] > 0 else ""
+        nearer = gap_text(limit, _OPEN_HOME if angles[loop] > 0 else 0.0, ".0f")
         raise DescriptionError(
             f"{where}: home: loop {mechanism.loops[loop].name} is open by {gap_text(lengths[loop], angles[loop])};"
-            f" give joint values at which the robot is assembled (to {millimetres(limit):.0f} mm{turned} or better)"
+            f" give joint values at which the robot is assembled (to {nearer} or better)"
         )
 
 

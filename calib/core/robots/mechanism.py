@@ -233,8 +233,7 @@ class Mechanism(ReadOnlyArrays):
     def twists_before(self, twists: FloatArray | None) -> FloatArray:
         """Return Ad(placement) xi, twists of origins in the frames before them, (n_joints, 6, k).
 
-        Args:
-            twists: Combinations of xi, of all origins, (6 n_joints, k); None: every one alone.
+        xi are (6 n_joints, k), of all origins; None: every one alone.
         """
         n, every = self.n_joints, np.eye(6 * self.n_joints) if twists is None else twists
         rotation = self.placements[:, :9].reshape(n, 3, 3).transpose(0, 2, 1)
@@ -272,9 +271,8 @@ class Mechanism(ReadOnlyArrays):
     @cached_property
     def loop_signs(self) -> FloatArray:
         """`direction_signs` of the loop of each closure row, (n_rows, n_joints)."""
-        return np.array([self.direction_signs(loop) for loop in self.loops for _ in loop.rows]).reshape(
-            -1, self.n_joints
-        )
+        signs = [self.direction_signs(loop) for loop in self.loops for _ in loop.rows]
+        return np.array(signs).reshape(-1, self.n_joints)
 
     @cached_property
     def loop_rows(self) -> IntArray:

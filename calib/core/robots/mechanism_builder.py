@@ -20,7 +20,8 @@ from calib.core.robots.description import Description
 from calib.core.robots.mechanism import Mechanism, RelativeFrame, rigid, view
 from calib.core.robots.terms.term import tilts_of
 from calib.core.robots.terms.terms import TERMS
-from calib.core.robots.urdf.text import HELD_TYPES, UNSUPPORTED_TYPES, UrdfJoint, UrdfText, require_supported
+from calib.core.robots.urdf.reader import HELD_TYPES, UNSUPPORTED_TYPES, UrdfJoint
+from calib.core.robots.urdf.text import UrdfText, require_supported
 
 Loops = tuple[RelativeFrame, ...]
 
@@ -31,12 +32,10 @@ def build_mechanism(
     instruments: tuple[Instrument, ...],
     where: str,
 ) -> Mechanism:
-    """Build the mechanism of a URDF and its description.
+    """Build the mechanism of a URDF and its description; a joint that mimics itself is a `UrdfError`.
 
-    Raises:
-        DescriptionError: A name that the URDF does not have, a joint of a type that is not supported on the way to what
-            is measured, or loops that do not determine the passive joints.
-        UrdfError: A joint mimics itself.
+    `DescriptionError` for an unknown name, an unsupported joint on the way to what is measured, or loops that do not
+    determine the passive joints.
     """
     model, frames, tilts = _tree(urdf, tilted_joints(description))
     origin_names = list(model.names[1:])
@@ -100,8 +99,7 @@ def _axes(model: pin.Model) -> FloatArray:
 def home_values(urdf: UrdfText, description: Description, where: str) -> dict[str, float]:
     """Return the home configuration by joint name [m or rad]; joints that it does not name are absent.
 
-    Raises:
-        DescriptionError: An unknown joint, or a value that is not a length or angle as the joint needs it.
+    `DescriptionError` if a joint is unknown, or a value has the wrong dimension.
     """
     moving = _moving(urdf)
     values = {}

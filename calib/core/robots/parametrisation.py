@@ -15,7 +15,7 @@ from calib.core.base.errors import DescriptionError, InputError, ParameterError,
 from calib.core.base.parameter import Parameter, index_of
 from calib.core.base.registry import list_entry_points, load_entry, load_named
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS
-from calib.core.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
+from calib.core.base.units import DISPLAY_UNIT, per_si, quantity, quantity_text
 from calib.core.instruments.kind import Place
 from calib.core.robots.described_instruments import places_of
 from calib.core.robots.description import Description, OriginSection
@@ -36,13 +36,7 @@ def build_parametrisation(
 ) -> Parametrisation:
     """Build the parametrisation that a description names or lists, plus unknown places, with the priors of its names.
 
-    Args:
-        urdf: The URDF, whose numbers the nominal origins are.
-        mechanism: The nominal mechanism.
-        places: Places that instruments look from and at.
-
-    Raises:
-        DescriptionError: Unknown plugin, origin or unit, a component listed twice, or a prior of no parameter.
+    `DescriptionError` if a plugin, origin or unit is unknown, a component is listed twice, or a prior has no parameter.
     """
     plain = _without_names(description, urdf, mechanism, places, where)
     parameters = list(plain.parameters)
@@ -88,11 +82,8 @@ def _without_names(
                 " set base.pose and targets.*.position to 'known'"
             )
         plugin = _from_plugin(description.parametrisation, origins, mechanism, where)
-        return (
-            ParametrisationStack((plugin, _components(unknown, origins, mechanism, inverted, where)))
-            if unknown
-            else plugin
-        )
+        parts = (plugin, _components(unknown, origins, mechanism, inverted, where))
+        return ParametrisationStack(parts) if unknown else plugin
     listed = sorted(description.origins, key=lambda section: section.origin == "all")  # exact entries win
     entries = [(section, description.priors, False) for section in listed]
     return _components(entries + unknown, origins, mechanism, inverted, where)
@@ -134,18 +125,14 @@ def result_use(description: Description) -> ResultUse | None:
     """Return the `result_use` of a named parametrisation: how the calibrated robot is used; None if it has none."""
     if not isinstance(description.parametrisation, str):
         return None
-    use: ResultUse | None = getattr(load_entry(ENTRY_POINTS, description.parametrisation), "result_use", None)
-    return use
+    return getattr(load_entry(ENTRY_POINTS, description.parametrisation), "result_use", None)
 
 
 def default_sections() -> tuple[OriginSection, ...]:
     """Return the entries for a plain URDF: every component of every origin that moves a target, with default priors."""
-    return (
-        OriginSection(origin="all", components=LENGTH_COMPONENTS, sigma=f"{millimetres(DEFAULT_LENGTH_SIGMA):g} mm"),
-        OriginSection(
-            origin="all", components=ANGLE_COMPONENTS, sigma=f"{DEFAULT_ANGLE_SIGMA * error_scale('angle'):g} mrad"
-        ),
-    )
+    length, angle = quantity_text(DEFAULT_LENGTH_SIGMA, "length", "g"), quantity_text(DEFAULT_ANGLE_SIGMA, "angle", "g")
+    entries = ((LENGTH_COMPONENTS, length), (ANGLE_COMPONENTS, angle))
+    return tuple(OriginSection(origin="all", components=components, sigma=sigma) for components, sigma in entries)
 
 
 def _unknown_components(place: Place, origin: str) -> list[tuple[OriginSection, bool, bool]]:

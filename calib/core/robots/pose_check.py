@@ -64,10 +64,5 @@ def blocking_sentence(pairs: Counter[str], n: int) -> str:
 
 
 def check_poses(robot: RobotData, joints: FloatArray) -> PoseCheck:
-    """Return the check at actuated joints (n, n_actuated) [m or rad].
-
-    Raises:
-        DescriptionError: An obstacle or a mesh that the description names cannot be.
-    """
-    check: PoseCheck = load_entry("calib.methods", "check_poses")(robot, joints)
-    return check
+    """Return the check at joints (n, n_actuated) [m or rad]; an impossible obstacle or mesh is a `DescriptionError`."""
+    return load_entry("calib.methods", "check_poses")(robot, joints)

@@ -310,11 +310,3 @@ def _flat(names: Sequence[str | Sequence[str]]) -> tuple[str, ...]:
         if not isinstance(entry, (str, Sequence)):
             raise InputError(f"parameters are named by text, such as 'joint_3.z', not by {entry!r:.40}")
     return tuple(name for entry in names for name in ((entry,) if isinstance(entry, str) else entry))
-
-
-def require_robot(robot: object) -> None:
-    """Raise `InputError` if this is not a robot, but a fit, for example."""
-    if not isinstance(robot, Robot):
-        raise InputError(
-            f"robot: expected a Robot, not {type(robot).__name__}; load one with calib.load; a fit has one as .robot"
-        )

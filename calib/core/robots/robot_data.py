@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, NamedRows, ReadOnlyArrays, read_only
-from calib.core.base.errors import DescriptionError, ParameterError, nearest
+from calib.core.base.errors import DescriptionError, ParameterError, require_known
 from calib.core.base.parameter import Parameters
 from calib.core.base.units import quantity
 from calib.core.instruments.kind import Instrument
@@ -167,12 +167,9 @@ class RobotData(ReadOnlyArrays):
 
     def instrument(self, name: str) -> Instrument:
         """Return an instrument; an unknown name is a `DescriptionError`."""
-        for instrument in self.instruments:
-            if instrument.name == name:
-                return instrument
-        raise DescriptionError(
-            f"no instrument '{name}'{nearest(name, [instrument.name for instrument in self.instruments])}"
-        )
+        by_name = {instrument.name: instrument for instrument in self.instruments}
+        require_known(name, by_name, "no instrument", DescriptionError)
+        return by_name[name]
 
     @cached_property
     def unknowns(self) -> dict[str, slice]:

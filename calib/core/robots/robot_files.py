@@ -18,7 +18,7 @@ from calib.core.robots.description import description_yaml
 from calib.core.robots.joint_errors import with_terms
 from calib.core.robots.robot_data import RobotData, SomeRobot
 from calib.core.robots.terms.terms import TERMS
-from calib.core.robots.urdf.text import Triple
+from calib.core.robots.urdf.reader import Triple
 
 _ROUNDING = 1e-14  # a number of the URDF that moves by less has not been edited [m or rad]
 
@@ -60,10 +60,7 @@ def held_by(robot: SomeRobot, holds: Holds) -> SomeRobot:
 
 
 def urdf_of_origins(robot: RobotData) -> bytes:
-    """Return the URDF with the origins that the current values give, whatever joint terms go with them.
-
-    Unchanged numbers keep their bytes.
-    """
+    """Return the URDF with the origins of the current values, whatever joint terms go with them; see `UrdfText`."""
     edits: dict[str, tuple[Triple, Triple]] = {}
     for joint in robot.urdf.joints:
         before, after = robot.nominal.placement(joint.name), robot.mechanism.placement(joint.name)

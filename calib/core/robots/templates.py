@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 
 from calib.core.base.errors import InputError, require_known
-from calib.core.base.units import millimetres, quantity
+from calib.core.base.units import quantity, quantity_text
 from calib.core.robots.urdf.loop_mechanisms import BASE, Lengths, Plan, delta, five_bar, four_bar, stewart, three_rrr
 from calib.core.robots.urdf.writing import robot_text
 
@@ -47,14 +48,11 @@ TEMPLATES = {
     ),
 }
 """Templates by their names on the command line."""
+_mm = partial(quantity_text, dimension="length", form=".9g")
 
 
 def read_lengths(name: str, given: Iterable[str]) -> dict[str, float]:
-    """Return a template's lengths [m], those of `given` (NAME=VALUE, with a unit) in place of the defaults.
-
-    Raises:
-        InputError: No such length, one given twice, or one that is not a positive length.
-    """
+    """Return lengths [m], those of `given` (NAME=VALUE, with a unit) in place of defaults; or raise `InputError`."""
     lengths, seen = dict(TEMPLATES[name].lengths), set()
     for text in given:
         key, equals, value = (part.strip() for part in text.partition("="))
@@ -71,14 +69,9 @@ def read_lengths(name: str, given: Iterable[str]) -> dict[str, float]:
 
 
 def loop_files(name: str, lengths: Lengths, urdf: str) -> tuple[str, str]:
-    """Return the text of a template's URDF and of its description.
+    """Return the text of a template's URDF, and of the description that calls it `urdf`, from every length [m].
 
-    Args:
-        lengths: Every length of it [m].
-        urdf: How the description names the URDF.
-
-    Raises:
-        InputError: Nothing can be assembled from these lengths.
+    `InputError` if nothing can be assembled from these lengths.
     """
     template = TEMPLATES[name]
     lengths_text = ", ".join(f"{key} {_mm(value)}" for key, value in lengths.items())
@@ -136,7 +129,3 @@ def _grouped_by_unit(components: str) -> list[str]:
     names = components.split(", ")
     parts = ([name for name in names if len(name) == 1], [name for name in names if len(name) > 1])
     return [", ".join(part) for part in parts if part]
-
-
-def _mm(value: float) -> str:
-    return f"{millimetres(value):.9g} mm"

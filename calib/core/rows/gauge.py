@@ -26,7 +26,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.threads import one_blas_thread
 from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import RANK_TOLERANCE, reduce_rows
-from calib.core.robots.joint_samples import joint_samples
+from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed, observe, predict_readings
 

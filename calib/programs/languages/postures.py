@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError, nearest
-from calib.core.robots.joint_samples import joint_samples
+from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.robot import Robot
 from calib.programs.languages.robot_program import Configuration
 from calib.programs.reaching.goals import Goals

@@ -26,7 +26,7 @@ from calib.core.robots import loops
 from calib.core.robots.closure import actuated_jacobian
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
-from calib.core.robots.joint_samples import joint_samples
+from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.loading import RobotLike
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context

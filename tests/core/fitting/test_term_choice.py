@@ -19,7 +19,7 @@ from calib.core.data.pose_groups import boxes
 from calib.core.fitting.terms.candidate_terms import candidates
 from calib.core.fitting.terms.joint_curves import is_beyond_learned
 from calib.core.fitting.validation import stretches
-from calib.core.robots.terms.coupling import CouplingSection
+from calib.core.robots.terms.one_coefficient import CouplingSection
 from calib.core.robots.terms.terms import TERMS, parse_terms
 from tests.core.robots.terms.test_compliance import arm, torques, upright_five_bar
 from tests.project import EXAMPLES, write_table

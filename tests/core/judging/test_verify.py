@@ -380,6 +380,8 @@ def test_command_says_and_writes_the_verdict(arm, folder, tmp_path):
     assert "no pose was read more than once" in good.stdout
     content = json.loads((tmp_path / "v.json").read_text())
     assert (content["verdict"], content["n_poses"]) == ("agrees", 25)
+    assert content["contains"] == ["noise and priors"]
+    assert "of the calibration: noise and priors" in " ".join(good.stdout.split())
     changed = truth.with_parameters({"joint_3.ry": value(truth, "joint_3.ry") + 5e-4})
     page = tmp_path / "verify.html"
     bad = run(tmp_path, format_measurements(truth, measured(changed, q, rng)), folder, "--html", str(page))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.results.comparing_results import difference_covariance, holm
+from calib.fleets.comparing_results import difference_covariance, holm
 from tests.saved_results import with_verdict
 from tests.small_robots import ARM_YAML, write_arm
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.robots.joint_samples import joint_samples
+from calib.core.robots.joint_sampling import joint_samples
 from calib.core.rows.gauge import poses_around_home
 from calib.exporting.gap import poses_near_home
 from calib.matching.agreement import other_poses

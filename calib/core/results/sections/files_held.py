@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
+from calib.core.base.units import display_unit, error_unit
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
@@ -31,7 +31,7 @@ def files_grid(fit: Fit) -> Grid | None:
     if not differs or Holds.EVERYTHING not in files:
         return None
     whole = files[Holds.EVERYTHING].accuracy
-    scale, unit = error_scale(whole.dimension), ERROR_UNIT[whole.dimension]
+    unit, scale = error_unit(whole.dimension)
     before = files.get(Holds.ORIGINS, files[Holds.EVERYTHING]).accuracy.before
     rows = [("nominal robot", GridNumber(scale * before), GridNumber(np.nan), "")]
     for holds in (holds for holds in reversed(Holds) if holds in files):
@@ -55,7 +55,7 @@ def file_entries(fit: Fit) -> list[dict[str, object]]:
     """Return the entries of `result.json` on files: content of each kind, its formats, and its error."""
     entries = list[dict[str, object]]()
     for holds, file_robot in files_of(fit).items():
-        accuracy, scale = file_robot.accuracy, error_scale(file_robot.accuracy.dimension)
+        accuracy, (unit, scale) = file_robot.accuracy, error_unit(file_robot.accuracy.dimension)
         entries.append(
             {
                 "holds": holds.name.lower(),
@@ -64,7 +64,7 @@ def file_entries(fit: Fit) -> list[dict[str, object]]:
                 "n_poses": accuracy.n_poses,
                 "part": accuracy.part,
                 "dimension": accuracy.dimension,
-                "unit": ERROR_UNIT[accuracy.dimension],
+                "unit": unit,
                 "rms_nominal": scale * accuracy.before,
                 "rms": scale * accuracy.rms,
                 "limit95": scale * accuracy.limit95,
@@ -78,9 +78,9 @@ def file_entries(fit: Fit) -> list[dict[str, object]]:
 def _zeros(robot: Robot, file_robot: FileRobot) -> list[dict[str, object]] | None:
     if not len(file_robot.offsets):
         return None
-    dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
-    rows = zip(robot.joint_names, file_robot.signs, file_robot.offsets, dimensions, strict=True)
+    units = [display_unit(robot.mechanism.dimensions[name]) for name in robot.joint_names]
+    rows = zip(robot.joint_names, file_robot.signs, file_robot.offsets, units, strict=True)
     return [
-        {"joint": name, "sign": int(sign), "offset": float(offset) * display_scale(d), "unit": DISPLAY_UNIT[d]}
-        for name, sign, offset, d in rows
+        {"joint": name, "sign": int(sign), "offset": float(offset) * scale, "unit": unit}
+        for name, sign, offset, (unit, scale) in rows
     ]

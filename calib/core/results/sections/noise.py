@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.core.base.units import error_unit, quantity_text
 from calib.core.base.words import count_noun
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.repeatability import doubtful_repeats, repeat_table, repeatability
@@ -17,24 +17,24 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
     """Return one block for each instrument, with errors and noise in the units of its parts."""
     blocks: list[dict[str, object]] = []
     sections = fit.nominal.description.instruments
+    noise_of = {(noise.group.name, noise.group.part.name): noise for noise in fit.noise}
+    tables = {label: errors.tables() for label, errors in error_sets(fit)}
     for instrument in fit.nominal.instruments:
         parts = []
         for part in instrument.parts:
-            of_part = (n for n in fit.noise if (n.group.name, n.group.part.name) == (instrument.group, part.name))
-            noise = next(of_part, None)
-            scale = error_scale(part.dimension)
+            noise, (unit, scale) = noise_of.get((instrument.group, part.name)), error_unit(part.dimension)
+            stated = None if noise is None or noise.stated is None else scale * noise.stated
+            own = {
+                label: table[instrument.name][part.name] for label, table in tables.items() if instrument.name in table
+            }
             parts.append(
                 {
                     "name": part.name,
-                    "unit": ERROR_UNIT[part.dimension],
+                    "unit": unit,
                     "sigma": None if noise is None else scale * noise.sigma,
-                    "sigma_stated": None if noise is None or noise.stated is None else scale * noise.stated,
+                    "sigma_stated": stated,
                     "degrees_of_freedom": None if noise is None else noise.freedom,
-                    "errors": {
-                        label: errors.tables()[instrument.name][part.name]
-                        for label, errors in error_sets(fit)
-                        if instrument.name in errors.tables()
-                    },
+                    "errors": own,
                 }
             )
         n_readings = len(fit.identification.data.readings.get(instrument.name, ()))
@@ -65,13 +65,13 @@ def noise_found(fit: Fit) -> list[NoiseFound]:
     }
     lines = []
     for noise in fit.noise:
-        scale = error_scale(noise.group.part.dimension)
+        unit, scale = error_unit(noise.group.part.dimension)
         lines.append(
             NoiseFound(
                 f" of {noise.group.name}, {noise.group.part.name}" if len(fit.noise) > 1 else "",
                 scale * noise.sigma,
                 None if noise.stated is None else scale * noise.stated,
-                ERROR_UNIT[noise.group.part.dimension],
+                unit,
                 " per axis" if (noise.group.name, noise.group.part.name) in several else "",
                 noise.freedom,
             )
@@ -109,7 +109,7 @@ def repeat_lines(fit: Fit) -> list[str]:
     lines = []
     scatter, _ = repeatability(fit.identification)
     if np.isfinite(scatter):
-        lines.append(f"Scatter of the repeats: {millimetres(scatter):.4g} mm per axis")
+        lines.append(f"Scatter of the repeats: {quantity_text(scatter, 'length', '.4g')} per axis")
     for name, errors in (("used", fit.identification), ("not used", fit.validation)):
         table = None if errors is None else repeat_table(errors)
         if errors is not None and table is not None:

@@ -42,12 +42,8 @@ def parameter_grid(fit: Fit) -> Grid:
 def _row(estimate: Estimate) -> tuple[str | GridNumber, ...]:
     change = estimate.value - estimate.nominal
     numbers = (estimate.nominal, estimate.value, change, estimate.std, estimate.low95, estimate.high95)
-    return (
-        estimate.name,
-        estimate.unit,
-        *(GridNumber(number, estimate.std) for number in numbers),
-        estimate.status,
-    )
+    cells = (GridNumber(number, estimate.std) for number in numbers)
+    return (estimate.name, estimate.unit, *cells, estimate.status)
 
 
 def most_changed_lines(fit: Fit) -> list[str | Table]:

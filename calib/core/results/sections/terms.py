@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, quantity_text
+from calib.core.base.units import DISPLAY_UNIT, display_unit, error_unit, quantity_text
 from calib.core.base.words import listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.terms.candidate_terms import TermTrial, why_term_unknown
-from calib.core.fitting.terms.joint_curves import joint_curves
+from calib.core.fitting.terms.joint_curves import JointCurve, joint_curves
 from calib.core.robots.terms.terms import TERMS
 
 _NONE = "none, because none improves the prediction of poses left out"
@@ -23,19 +23,15 @@ def terms_table(fit: Fit) -> dict[str, object]:
         "entries": [section.model_dump(mode="json") for section in fit.robot.description.terms],
         "undecided": [section.model_dump(mode="json") for section in fit.undecided.terms] if fit.undecided else [],
         "tried": [{**asdict(trial), "proven": trial.proven} for trial in tried],
-        "curves": [
-            {
-                "joint": curve.joint,
-                "unit": DISPLAY_UNIT[curve.dimension],
-                "low": float(curve.command[0] * display_scale(curve.dimension)),
-                "high": float(curve.command[-1] * display_scale(curve.dimension)),
-                "error_unit": ERROR_UNIT[curve.dimension],
-                "rms": curve.rms * error_scale(curve.dimension),
-                "rms_std": curve.rms_std * error_scale(curve.dimension),
-            }
-            for curve in joint_curves(fit)
-        ],
+        "curves": [_curve_as_data(curve) for curve in joint_curves(fit)],
     }
+
+
+def _curve_as_data(curve: JointCurve) -> dict[str, object]:
+    (unit, scale), (of_errors, error_scale) = display_unit(curve.dimension), error_unit(curve.dimension)
+    span = {"low": float(curve.command[0] * scale), "high": float(curve.command[-1] * scale), "error_unit": of_errors}
+    errors = {"rms": curve.rms * error_scale, "rms_std": curve.rms_std * error_scale}
+    return {"joint": curve.joint, "unit": unit, **span, **errors}
 
 
 def terms_lines(fit: Fit) -> list[str]:
@@ -48,10 +44,10 @@ def terms_lines(fit: Fit) -> list[str]:
     refused = [f"{trial.term} ({trial.refusal})" for trial in tried if trial.refusal]
     lines = [f"Joint terms added: {listing(added, '; ', count) or _NONE}"]
     lines += [line for trial in tried if trial.added for line in _coefficients(fit, trial.term)]
-    lines += (
-        [f"Joint terms that the measurements neither show nor exclude: {listing(left, '; ', count)}"] if left else []
-    )
-    return lines + ([f"Joint terms that these data cannot show: {listing(refused, '; ', count)}"] if refused else [])
+    others = {"the measurements neither show nor exclude": left, "these data cannot show": refused}
+    return lines + [
+        f"Joint terms that {what}: {listing(terms, '; ', count)}" for what, terms in others.items() if terms
+    ]
 
 
 def _size_in_words(trial: TermTrial) -> str:

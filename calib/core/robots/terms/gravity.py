@@ -22,7 +22,7 @@ from pydantic import Field, field_validator
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.sections import PositiveAngle, Section
-from calib.core.base.units import Dimension
+from calib.core.base.units import DISPLAY_UNIT, Dimension, quantity_text
 
 STANDARD = 9.81
 """Acceleration by gravity [m/s^2], as in Pinocchio; fitted coefficients absorb its local deviation."""
@@ -70,14 +70,14 @@ class GravitySection(Section):
     @classmethod
     def _is_small(cls, value: float | None) -> float | None:
         if value is not None and value > np.pi / 2:
-            raise ValueError(f"{np.degrees(value):.0f} deg means that nothing is known; write a unit, such as '3 deg'")
+            size = quantity_text(value, "angle", ".0f", DISPLAY_UNIT)
+            raise ValueError(f"{size} means that nothing is known; write a unit, such as '3 deg'")
         return value
 
     def stated_directions(self, setups: Sequence[str] = ()) -> FloatArray:
         """Return the stated unit vector of each setup, (n_setups, 3); one row if no setups are named."""
         rows = np.array([self.setups.get(name, self.down) for name in setups] or [self.down], dtype=float)
-        result: FloatArray = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-        return result
+        return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
     @property
     def axes(self) -> tuple[int, int]:
@@ -87,11 +87,9 @@ class GravitySection(Section):
 
 
 class InclinometerSection(Section):
-    """A sensor that reads the direction of gravity, and so the angles of two joints that are not commanded.
+    """A sensor on the link `frame` that reads the direction of gravity there, and so two angles that are not commanded.
 
-    Attributes:
-        frame: Link that the sensor is on, in whose axes it reads.
-        joints: Two joints that turn this link, about axes that are not vertical.
+    They are those of two joints that turn this link, about axes that are not vertical.
     """
 
     frame: str
@@ -106,10 +104,8 @@ def columns_of(sensor: str) -> dict[str, Dimension]:
 def read_down(conditions: Mapping[str, FloatArray]) -> FloatArray | None:
     """Return the direction of gravity that sensors read, (n, 3), in their axes; NaN where not read, None if never.
 
-    Tilts are defined in `calib.core.instruments.orientation`: 0 where the sensor is level, right-handed.
-
-    Args:
-        conditions: `COLUMNS` by name, (n,) each [SI].
+    Tilts are defined in `calib.core.instruments.orientation`: 0 where the sensor is level, right-handed. `conditions`
+    are `COLUMNS` by name, (n,) each [SI].
     """
     down: FloatArray | None = None
     for names in _WAYS:
@@ -128,13 +124,7 @@ def read_down(conditions: Mapping[str, FloatArray]) -> FloatArray | None:
 
 
 def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[int], sensor: str = "") -> None:
-    """Raise `DataError` where columns do not determine the direction of gravity.
-
-    Args:
-        conditions: `COLUMNS` by name, (n,) each [SI].
-        lines: Line of each row in the file.
-        sensor: Prefix of these names in the file.
-    """
+    """Raise `DataError` where `COLUMNS` (n,) do not determine gravity; a `sensor` has this prefix in the file."""
     having = [names for names in _WAYS if any(name in conditions for name in names)]
     if len(having) > 1:
         first, second = (sensor + next(name for name in names if name in conditions) for names in having[:2])

@@ -1,4 +1,4 @@
-"""Terms with one coefficient: zero, gain, backlash, drift by time and temperature, and what gives way under gravity.
+"""Terms with one coefficient: zero, gain, coupling, backlash, drift, and what gives way under gravity.
 
 Backlash has a side. Where the load is small, the motion before decides it. Where gravity loads the joint, it rests on
 the side to which gravity pulls it, wherever it came from, and changes over where the torque changes its sign:
@@ -16,11 +16,13 @@ Joints of a robot arm are about as soft against tilting as about their axis.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
+from calib.core.base.errors import require_known
 from calib.core.base.parameter import Parameter
 from calib.core.robots.terms.formula import Proportional, Source
 from calib.core.robots.terms.term import Condition, Joint, JointTerm, TermSection, coefficient
@@ -60,11 +62,12 @@ class OneCoefficient(JointTerm):
         return Proportional(self.source, j if self.source.has_joints else 0, self.factor)
 
     @classmethod
-    def coefficients(cls, joint: Joint, sigma: float | None) -> tuple[Parameter, ...]:
-        """Return its coefficient, of the expected size where none is stated."""
-        expected = cls.expected_angle if joint.dimension == "angle" else cls.expected_length
+    def coefficients(cls, joint: Joint, sigma: float | None, word: str = "") -> tuple[Parameter, ...]:
+        """Return its coefficient, of the expected size where none is stated; `word` in place of that of the class."""
+        dimension = "angle" if cls.tilts else joint.dimension  # a joint that slides tilts, too
+        expected = cls.expected_angle if dimension == "angle" else cls.expected_length
         size = expected if sigma is None else sigma
-        return (coefficient(f"{joint.name}.{cls.word}", joint.dimension, size),)
+        return (coefficient(f"{joint.name}.{word or cls.word}", dimension, size),)
 
 
 class Zero(OneCoefficient):
@@ -131,22 +134,15 @@ class Compliance(OneCoefficient):
 
 
 class GravityBacklashSection(TermSection):
-    """Backlash whose side gravity decides.
-
-    Attributes:
-        torque: The torque h about which the joint changes over: from it on, gravity has taken up most of the play
-            [N m; N of one that slides].
-    """
+    """Backlash whose side gravity decides; from `torque` on, it has taken up most of the play [N m; N if it slides]."""
 
     torque: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
 
 
 @dataclass(frozen=True)
 class GravityBacklash(OneCoefficient):
-    """dq = c (half the play) towards the side to which gravity pulls the joint, smooth where that changes.
-
-    Attributes:
-        knee: The torque h about which it changes over [N m or N].
+    """dq = c (half the play) towards the side to which gravity pulls; the side changes smoothly about the torque
+    `knee`.
     """
 
     section = GravityBacklashSection
@@ -175,8 +171,55 @@ class Bending(Compliance):
     word = "bending"
     tilts = True
 
+
+class CouplingSection(TermSection):
+    """A coupling with another joint, `driven_by`."""
+
+    driven_by: str
+
+
+@dataclass(frozen=True)
+class Coupling(OneCoefficient):
+    """dq = c times the command of another joint: of a belt, a tendon, or a motor that sits on the other's link.
+
+    `other` is the index of that joint among the actuated ones.
+    """
+
+    section = CouplingSection
+    source = Source.COMMAND
+    cause = "coupling"
+    depends_on = (Condition.ANOTHER_JOINT,)
+    per = "per rad or m of it"
+    counts_turns = True
+    differs = True
+    expected_angle, expected_length = 1e-3, 1e-3  # per radian or metre of the other joint
+    other: int
+
     @classmethod
-    def from_section(cls, joint: Joint, section: TermSection, sigma: float | None) -> JointTerm:
-        """Return the term that an entry of a robot description means."""
-        size = cls.expected_angle if sigma is None else sigma  # a joint that slides tilts, too
-        return cls(joint.name, (coefficient(f"{joint.name}.{cls.word}", "angle", size),))
+    def from_section(cls, joint: Joint, section: CouplingSection, sigma: float | None) -> Coupling:
+        """Return the term of an entry of a robot description; an unknown other joint is a `ValueError`."""
+        other = section.driven_by
+        require_known(other, joint.actuated, "driven_by: no actuated joint", ValueError)
+        if other == joint.name:
+            raise ValueError("driven_by names the joint itself; use the term `gain`")
+        return cls(joint.name, cls.coefficients(joint, sigma, f"by_{other}"), joint.actuated.index(other))
+
+    @classmethod
+    def entries(cls, term: str, joints: Sequence[str], actuated: Sequence[str]) -> tuple[TermSection, ...]:
+        """Return an entry for each pair of a joint and another one that moved: data show which joint drives which."""
+        pairs = ((joint, other) for joint in actuated for other in joints if joint != other)
+        return tuple(CouplingSection(joint=joint, term=term, driven_by=other) for joint, other in pairs)
+
+    def answers(self, section: TermSection) -> bool:
+        """Whether a term couples the same two joints."""
+        return isinstance(section, CouplingSection) and (
+            self.parameters[0].name == f"{section.joint}.by_{section.driven_by}"
+        )
+
+    def driving_joint(self, actuated: tuple[str, ...]) -> str:
+        """Return the joint that drives."""
+        return actuated[self.other]
+
+    def formula(self, j: int) -> Proportional:
+        """Return the other joint's command."""
+        return super().formula(self.other)

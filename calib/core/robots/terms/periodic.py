@@ -34,15 +34,9 @@ AMPLITUDE: dict[Dimension, float] = {"angle": 3e-4, "length": 5e-5}
 
 
 def period(dimension: Dimension, section: TermSection, key: str, length: float | None) -> float:
-    """Return the period of a joint's term: a turn [rad], or the stated length of a prismatic joint [m].
+    """Return the period of a joint's term: a turn [rad], or of a prismatic joint the `length` that `key` states [m].
 
-    Args:
-        section: Entry of the term in the description.
-        key: Key of the length in this entry.
-        length: Length that the entry states [m]; None if it states none.
-
-    Raises:
-        ValueError: A prismatic joint without a length, or a length that is stated for one revolute joint.
+    `ValueError` if a prismatic joint has none, or an entry for one revolute joint states it.
     """
     if dimension == "length":
         if length is None:
@@ -97,11 +91,7 @@ class Harmonics(_Periodic):
 
     @classmethod
     def from_section(cls, joint: Joint, section: HarmonicsSection, sigma: float | None) -> Harmonics:
-        """Return the term of an entry of a robot description.
-
-        Raises:
-            ValueError: The entry does not fit the joint.
-        """
+        """Return the term of an entry of a robot description; one that does not fit the joint is a `ValueError`."""
         repeats = period(joint.dimension, section, "period", section.period)
         size = AMPLITUDE[joint.dimension] if sigma is None else sigma
         names = [f"{joint.name}.{kind}{order}" for order in section.orders for kind in ("sin", "cos")]
@@ -142,11 +132,7 @@ class Curve(_Periodic):
 
     @classmethod
     def from_section(cls, joint: Joint, section: CurveSection, sigma: float | None) -> Curve:
-        """Return the term of an entry of a robot description.
-
-        Raises:
-            ValueError: The entry does not fit the joint.
-        """
+        """Return the term of an entry of a robot description; one that does not fit the joint is a `ValueError`."""
         repeats = period(joint.dimension, section, "stroke", section.stroke)
         amplitude = AMPLITUDE[joint.dimension] if sigma is None else sigma
         family = f"{joint.name}.curve" if section.found else ""

@@ -15,11 +15,11 @@ from calib.core.base.errors import DescriptionError, InputError, nearest
 from calib.core.base.other_words import hint_for
 from calib.core.base.registry import Registry, entry
 from calib.core.base.units import Dimension
-from calib.core.robots.terms.coupling import Coupling
 from calib.core.robots.terms.one_coefficient import (
     Backlash,
     Bending,
     Compliance,
+    Coupling,
     Drift,
     Gain,
     GravityBacklash,
@@ -55,12 +55,9 @@ else:
 
 
 def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | None]:
-    """Return the columns of a file for the conditions of a visit, with their dimensions.
+    """Return columns of a file for the conditions of a visit, and those that terms read, with their dimensions.
 
     Columns of a term that cannot be loaded are left out; the error is raised when that term is used.
-
-    Args:
-        terms: A robot's joint terms; some read columns of their own.
     """
     columns = dict(CONTEXT) | dict.fromkeys(column for term in terms for column in term.reads())
     for name in TERMS:
@@ -74,8 +71,7 @@ def condition_columns(terms: Iterable[JointTerm] = ()) -> dict[str, Dimension | 
 def terms_text(terms: str | Sequence[str]) -> str:
     """Return a choice of terms as text: names or `JOINT=TERM` with commas between; text is returned unchanged.
 
-    Raises:
-        InputError: The choice is no text and no list of texts, or an empty list.
+    `InputError` if the choice is neither text nor a list of texts, or is empty.
     """
     if isinstance(terms, str):
         return terms
@@ -87,13 +83,9 @@ def terms_text(terms: str | Sequence[str]) -> str:
 
 
 def parse_terms(text: str) -> tuple[TermSection, ...]:
-    """Return the entries that a list such as `curve,backlash` or `curve,elbow=backlash` means.
+    """Return the entries of a list of terms, such as `curve,backlash` for every joint, or `curve,elbow=backlash`.
 
-    Args:
-        text: Names of terms, for every joint, or `JOINT=TERM`; commas between.
-
-    Raises:
-        InputError: No such term, or one that only a description can state.
+    `InputError` if there is no such term, or only a description can state it.
     """
     sections = []
     for item in text.split(","):
@@ -110,9 +102,5 @@ def parse_terms(text: str) -> tuple[TermSection, ...]:
 
 
 def stored_terms(entries: object) -> tuple[TermSection, ...]:
-    """Return the entries that a result stores.
-
-    Raises:
-        ValueError: What is stored is no list of terms.
-    """
+    """Return the entries that a result stores; `ValueError` if they are no list of terms."""
     return TypeAdapter(tuple[AnyTerm, ...]).validate_python(entries)

@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 
 from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.words import listing
-from calib.core.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText, require_supported
+from calib.core.robots.urdf.reader import HELD_TYPES, UrdfJoint
+from calib.core.robots.urdf.text import UrdfText, require_supported
 
 _SHORT = 1 / 3  # fingers reach less than this part of the way from the arm's first joint to them
 _ALIKE = 0.5  # the second longest finger reaches at least this part of the longest
@@ -63,26 +64,14 @@ class ArmChain:
         left = f"left out: {'; '.join(parts)}" if parts else ""
         if not self.others:
             return left
-        return "; ".join(
-            filter(
-                None,
-                [
-                    f"the arm is taken to end at {self.target}",
-                    left,
-                    f"another end, such as {listing(self.others)}: calib init --target NAME",
-                ],
-            )
-        )
+        end = f"another end, such as {listing(self.others)}: calib init --target NAME"
+        return "; ".join(filter(None, (f"the arm is taken to end at {self.target}", left, end)))
 
 
 def arm_chain(urdf: UrdfText, target: str | None = None) -> ArmChain:
-    """Return the chain to a link, by default to the end of the arm.
+    """Return the chain to a link, `target`, by default to the end of the arm.
 
-    Args:
-        target: Link with the measured point.
-
-    Raises:
-        DescriptionError: There is no such link, or no joint moves it, or a joint of an unsupported type does.
+    `DescriptionError` if there is no such link, or no joint moves it, or a joint of an unsupported type does.
     """
     tree = _Tree(urdf)
     if target is not None:
@@ -104,23 +93,14 @@ class _Tree:
 
     def __init__(self, urdf: UrdfText) -> None:
         self.urdf = urdf
-        parent = {joint.child: joint for joint in urdf.joints}
-        self.way: dict[str, list[UrdfJoint]] = {link: [] for link in urdf.links if link not in parent}
-        self.distance: dict[str, float] = dict.fromkeys(self.way, 0.0)
-        standing: dict[str, list[UrdfJoint]] = {}
-        for joint in urdf.joints:
-            standing.setdefault(joint.parent, []).append(joint)
-        outwards = list(self.way)
-        for link in outwards:  # grows while it is read
-            for joint in standing.get(link, ()):
-                self.way[joint.child] = [*self.way[link], joint]
-                self.distance[joint.child] = self.distance[link] + math.hypot(*joint.xyz)
-                outwards.append(joint.child)
+        self.way: dict[str, list[UrdfJoint]] = {urdf.root: []}
+        self.distance = {urdf.root: 0.0}
+        for joint in urdf.joints_from_root:
+            self.way[joint.child] = [*self.way[joint.parent], joint]
+            self.distance[joint.child] = self.distance[joint.parent] + math.hypot(*joint.xyz)
         self.furthest = dict(self.distance)
-        for link in reversed(outwards):
-            if link in parent:
-                carrier = parent[link].parent
-                self.furthest[carrier] = max(self.furthest[carrier], self.furthest[link])
+        for joint in reversed(urdf.joints_from_root):
+            self.furthest[joint.parent] = max(self.furthest[joint.parent], self.furthest[joint.child])
         self.body = {link: ([""] + [joint.name for joint in _moving(self.way[link])])[-1] for link in urdf.links}
         self.carried = {joint.name: joint.child for joint in urdf.joints}
 
@@ -131,12 +111,9 @@ class _Tree:
         require_supported(way[way.index(moving[0]) :] if moving else way, self.urdf.path)
         still = tuple(joint.name for joint in way if joint.unstated and not joint.moves)
         if not names:
-            why = (
-                f"{listing(still)} have a <limit> without lower and upper, which is 0 to 0; write the limits into the"
-                ' URDF, or type="continuous"'
-                if still
-                else "there is nothing to calibrate"
-            )
+            unstated = "a <limit> without lower and upper, which is 0 to 0; write the limits into the URDF"
+            advice = f'{listing(still)} have {unstated}, or type="continuous"'
+            why = advice if still else "there is nothing to calibrate"
             raise DescriptionError(f"{self.urdf.path}: no joint moves link '{target}'; {why}")
         return ArmChain(target, moving[0].parent, names, still=still)
 
@@ -187,14 +164,8 @@ class _Tree:
         """Last joints without further links that belong to a gripper by their names."""
         parents = {joint.parent for joint in self.urdf.joints}
         chains = [_moving(self.way[link]) for link in self.urdf.links if link not in parents]
-        return {
-            chain[-1].name
-            for chain in chains
-            if len(chain) > 1
-            and chain[-1].child not in parents
-            and _is_gripper(chain[-1])
-            and not _is_gripper(chain[-2])
-        }
+        ends = [chain[-2:] for chain in chains if len(chain) > 1 and chain[-1].child not in parents]
+        return {last.name for before, last in ends if _is_gripper(last) and not _is_gripper(before)}
 
     def _end(self, body: str) -> str:
         """The last link in the file at an end of a body, without stiff fingers; beyond the palm if the body has one."""

@@ -38,7 +38,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
-from calib.core.robots.urdf.text import Triple
+from calib.core.robots.urdf.reader import Triple
 from calib.core.robots.urdf.writing import joint_text, robot_text
 
 Convention = Literal["standard", "modified"]
@@ -89,12 +89,7 @@ class DhRow:
 
 @dataclass(frozen=True)
 class DhTable:
-    """A chain of rows, from the base frame to the last frame.
-
-    Attributes:
-        convention: `standard` or `modified`.
-        rows: Rows in their order along the chain.
-    """
+    """A chain of rows, from the base frame to the last frame, in the `standard` or the `modified` convention."""
 
     convention: Convention
     rows: tuple[DhRow, ...]
@@ -119,7 +114,6 @@ def dh_table(links: Sequence[pin.SE3], joints: Sequence[DhRow], convention: Conv
         links: Transforms from the base frame to the first joint, from each joint to the next, and from the last joint
             to the last frame; one more than there are joints.
         joints: Name, kind and limits of each joint.
-        convention: `standard` or `modified`.
     """
     names = [joint.name for joint in joints]
     rows = [DhRow(_new_name("base", names), "fixed"), *joints]

@@ -5,7 +5,6 @@ Undeclared XML prefixes are accepted, as in most programs.
 
 from __future__ import annotations
 
-import os
 import re
 import xml.parsers.expat
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError
 from calib.core.numerics import linalg
 from calib.core.robots.urdf.text import UrdfText
+from calib.core.robots.urdf.xacro_files import folders_in_variable
 
 _KINDS = ("box", "cylinder", "sphere", "mesh")
 
@@ -79,11 +79,7 @@ def element_tree(source: bytes) -> Element:
 
 
 def read_links(urdf: UrdfText) -> dict[str, Link]:
-    """Read all links, in file order.
-
-    Raises:
-        UrdfError: A mass, size or origin is not made of numbers.
-    """
+    """Read all links, in file order; a mass, size or origin that is not made of numbers is a `UrdfError`."""
     root = element_tree(urdf.source)
     colours = {
         str(material.get("name")): colour
@@ -216,6 +212,5 @@ def may_read_mesh(filename: str, mesh: Path, urdf_path: str) -> bool:
 
 
 def _ros_folders() -> list[Path]:
-    packages = [Path(entry) for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if entry]
-    prefixes = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
-    return packages + [prefix / "share" for prefix in prefixes]
+    shares = (Path(prefix, "share") for prefix in folders_in_variable("AMENT_PREFIX_PATH"))
+    return [*map(Path, folders_in_variable("ROS_PACKAGE_PATH")), *shares]

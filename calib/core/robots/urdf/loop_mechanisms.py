@@ -22,8 +22,8 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
-from calib.core.base.units import millimetres
-from calib.core.robots.urdf.text import Triple
+from calib.core.base.units import quantity_text
+from calib.core.robots.urdf.reader import Triple
 from calib.core.robots.urdf.writing import joint_text
 
 BASE = "base"
@@ -57,14 +57,12 @@ class Plan:
     targets: dict[str, tuple[str, Triple]] = field(default_factory=dict)
     free: list[tuple[str, str]] = field(default_factory=list)
 
-    def add_fixed_joint(self, name: str, parent: str, child: str, xyz: Iterable[float], free: str) -> None:
-        """Add a fixed joint whose origin components `free` can be calibrated."""
-        self._add(name, "fixed", parent, child, xyz)
-        self.free.append((name, free))
-
-    def place(self, name: str, parent: str, child: str, xyz: Iterable[float], turned: float = 0.0) -> None:
-        """Add a fixed joint without free components."""
+    def add_fixed_joint(
+        self, name: str, parent: str, child: str, xyz: Iterable[float], free: str = "", turned: float = 0.0
+    ) -> None:
+        """Add a fixed joint, turned about z by `turned` [rad]; `free` names components that can be calibrated."""
         self._add(name, "fixed", parent, child, xyz, turned)
+        self.free += [(name, free)] if free else []
 
     def hinge(
         self, name: str, parent: str, child: str, home: float, xyz: Iterable[float] = _HERE, *, axis: str = "0 0 1",
@@ -100,8 +98,7 @@ class Plan:
 def four_bar(length: Lengths) -> Plan:
     """A crank with a motor, a coupler, a rocker; home is in the middle of the crank's range.
 
-    Raises:
-        InputError: The lengths do not close.
+    `InputError` if the lengths do not close.
     """
     ground, crank, coupler, rocker = (length[name] for name in ("ground", "crank", "coupler", "rocker"))
     low, high = max(abs(coupler - rocker), abs(ground - crank)), min(coupler + rocker, ground + crank)
@@ -124,11 +121,7 @@ def four_bar(length: Lengths) -> Plan:
 
 
 def five_bar(length: Lengths) -> Plan:
-    """Two arms with a motor each that meet at the pen, elbows outwards.
-
-    Raises:
-        InputError: The lengths do not close.
-    """
+    """Two arms with a motor each that meet at the pen, elbows outwards; `InputError` if the lengths do not close."""
     half, proximal, distal = length["motor_distance"] / 2, length["proximal"], length["distal"]
     low, high = max(abs(proximal - distal), half), proximal + distal
     if low >= high:
@@ -163,8 +156,7 @@ def three_rrr(length: Lengths) -> Plan:
 def delta(length: Lengths) -> Plan:
     """Three arms with motors; home with all of them level, the platform below (z is up, positive angles go down).
 
-    Raises:
-        InputError: The lengths do not close.
+    `InputError` if the lengths do not close.
     """
     upper, rod, half = length["upper_arm"], length["rod"], length["rod_distance"] / 2
     out = length["base_radius"] + upper - length["platform_radius"]
@@ -194,10 +186,7 @@ def delta(length: Lengths) -> Plan:
 def stewart(length: Lengths) -> Plan:
     """A 6-UPS hexapod: joints in pairs, at 0, 120 and 240 degrees below, at 60, 180 and 300 above.
 
-    The value of a motor is the length of its leg.
-
-    Raises:
-        InputError: A pair is wider than its circle.
+    The value of a motor is the length of its leg. `InputError` if a pair is wider than its circle.
     """
     for level in ("base", "platform"):
         if length[f"{level}_pair"] >= length[f"{level}_radius"]:
@@ -235,7 +224,7 @@ def _two_links(to: FloatArray, first: float, second: float, side: int) -> tuple[
     """Angle of the first link and bend to the second that reach `to` (2,) [m], elbow to the left for side 1."""
     far = math.hypot(*to)
     if not abs(first - second) < far < first + second:
-        shown = [f"{millimetres(length):.9g} mm" for length in (first, second, far)]
+        shown = [quantity_text(length, "length", ".9g") for length in (first, second, far)]
         raise InputError(f"links of {shown[0]} and {shown[1]} cannot span {shown[2]}")
     start = math.atan2(to[1], to[0]) + side * math.acos((first**2 + far**2 - second**2) / (2 * first * far))
     bend = -side * (math.pi - math.acos((first**2 + second**2 - far**2) / (2 * first * second)))

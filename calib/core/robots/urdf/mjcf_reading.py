@@ -135,8 +135,7 @@ def outermost(source: bytes) -> str:
 def read_mjcf(path: Path | str) -> MjcfRobot:
     """Read an MJCF file, with its includes, by MuJoCo.
 
-    Raises:
-        UrdfError: MuJoCo is not installed, or cannot read the file; or URDF has no equivalent for its content.
+    `UrdfError` if MuJoCo is not installed, or cannot read the file; or URDF has no equivalent for its content.
     """
     try:
         import mujoco

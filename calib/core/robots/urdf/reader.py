@@ -14,6 +14,7 @@ import math
 import re
 import xml.parsers.expat
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calib.core.base.errors import UrdfError, require_known
@@ -30,6 +31,10 @@ MOST_LINKS = 300
 """Largest number of links: Pinocchio's data grow with the third power."""
 _LARGEST = 1e9  # largest value in an origin or `<mimic>` [m or rad]: squares and products stay finite
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh", "origin", "mass", "inertia")
+_XML_HINTS = {
+    "declaration not at start": "; the <?xml ...?> line must be the very first",
+    "prefix": "; declare it on the top element, such as xmlns:xacro",
+}
 _NO_NUMBERS = ("name", "filename")
 _SPACE = " \t\r\n"  # XML's; str.split() would also accept the no-break space, which other programs refuse
 
@@ -55,14 +60,14 @@ class UrdfJoint:
     type: str
     parent: str
     child: str
-    xyz: Triple
-    rpy: Triple
-    axis: Triple
-    lower: float
-    upper: float
-    mimic: tuple[str, float, float] | None
-    tag_span: Span | None
-    origin_span: Span | None
+    xyz: Triple = (0.0, 0.0, 0.0)
+    rpy: Triple = (0.0, 0.0, 0.0)
+    axis: Triple = (1.0, 0.0, 0.0)
+    lower: float = -math.inf
+    upper: float = math.inf
+    mimic: tuple[str, float, float] | None = None
+    tag_span: Span | None = None
+    origin_span: Span | None = None
     unstated: bool = False
 
     @property
@@ -112,13 +117,7 @@ class UrdfReader:
             self._parser.Parse(self.source, True)
         except xml.parsers.expat.ExpatError as error:
             message = xml.parsers.expat.errors.messages[error.code]
-            hint = (
-                "; the <?xml ...?> line must be the very first"
-                if "declaration not at start" in message
-                else "; declare it on the top element, such as xmlns:xacro"
-                if "prefix" in message
-                else ""
-            )
+            hint = next((hint for words, hint in _XML_HINTS.items() if words in message), "")
             raise UrdfError(
                 f"{self.path}, line {error.lineno}: not valid XML ({message}){hint};"
                 " a robot is a URDF, a YAML description or a result folder"
@@ -131,11 +130,13 @@ class UrdfReader:
         match = _TAG.match(self.source, self._parser.CurrentByteIndex)
         return match.span() if match else None
 
+    def _error(self, text: str) -> UrdfError:
+        return UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {text}")
+
     def _entity(self, name: str, _parameter: bool, value: str | None, *_where: str | None) -> None:
         if value is None:
-            raise UrdfError(
-                f"{self.path}, line {self._parser.CurrentLineNumber}: entity '{name}' stands for another file, which is"
-                " not read; put its content here (xmllint --noent)"
+            raise self._error(
+                f"entity '{name}' stands for another file, which is not read; put its content here (xmllint --noent)"
             )
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
@@ -167,29 +168,15 @@ class UrdfReader:
                 except ValueError:
                     continue  # a xacro leftover, for instance, which stays in the file
                 if not finite or not math.isfinite(float(part)):
-                    line = self._parser.CurrentLineNumber
-                    raise UrdfError(
-                        f"{self.path}, line {line}: <{tag}> of link '{self.links[-1]}' has {key}=\"{text}\";"
-                        " every number must be finite, and none beyond 1e9 m: correct it"
-                    )
+                    wrong = f"<{tag}> of link '{self.links[-1]}' has {key}=\"{text}\""
+                    raise self._error(f"{wrong}; every number must be finite, and none beyond 1e9 m: correct it")
 
     def _start_joint(self, attributes: dict[str, str]) -> None:
         name = self._require(attributes, "name", "<joint>")
         kind = self._require(attributes, "type", f"joint '{name}'")
         require_known(kind, MOVING_TYPES + HELD_TYPES, f"{self.path}, joint '{name}': unknown type", UrdfError)
         self._seen = {}
-        self._joint = {
-            "name": name,
-            "type": kind,
-            "tag_span": self._span(),
-            "origin_span": None,
-            "xyz": (0.0, 0.0, 0.0),
-            "rpy": (0.0, 0.0, 0.0),
-            "axis": (1.0, 0.0, 0.0),
-            "lower": -math.inf,
-            "upper": math.inf,
-            "mimic": None,
-        }
+        self._joint = {"name": name, "type": kind, "tag_span": self._span()}
 
     def _joint_child(self, tag: str, attributes: dict[str, str]) -> None:
         joint = self._joint
@@ -197,7 +184,7 @@ class UrdfReader:
         if tag not in ("parent", "child", "origin", "axis", "limit", "mimic"):
             return
         if tag in self._seen and (tag == "origin" or self._seen[tag] != attributes):
-            raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {where} has two <{tag}>; keep one")
+            raise self._error(f"{where} has two <{tag}>; keep one")
         self._seen[tag] = attributes
         if tag in ("parent", "child"):
             joint[tag] = self._require(attributes, "link", f"<{tag}> of {where}")
@@ -250,9 +237,9 @@ class UrdfReader:
 
     def _require(self, attributes: dict[str, str], key: str, where: str) -> str:
         if not attributes.get(key):
-            raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {where} has no '{key}'")
+            raise self._error(f"{where} has no '{key}'")
         if key == "name" and (problem := unseen(attributes[key])):  # other texts must be known ones
-            raise UrdfError(f"{self.path}, line {self._parser.CurrentLineNumber}: {problem}")
+            raise self._error(problem)
         return attributes[key]
 
     def _number(self, text: str, where: str) -> float:
@@ -306,15 +293,20 @@ def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
     if len(roots) != 1:
         fault = "joints form a ring, no root link" if not roots else f"several root links: {', '.join(roots[:5])}"
         raise UrdfError(f"{path}: {fault}; a URDF is one tree")
-    reached = {roots[0]}
-    children: dict[str, list[str]] = {}
-    for child, joint in parent_of.items():
-        children.setdefault(joint.parent, []).append(child)
-    waiting = [roots[0]]
-    while waiting:
-        child_links = children.get(waiting.pop(), [])
-        reached.update(child_links)
-        waiting.extend(child_links)
-    if len(reached) < len(known):
+    if len(from_root(roots[0], joints)) < len(joints):
+        reached = {roots[0], *(joint.child for joint in from_root(roots[0], joints))}
         lost = next(link for link in links if link not in reached)
         raise UrdfError(f"{path}: link '{lost}' is its own ancestor; a URDF is one tree")
+
+
+def from_root(root: str, joints: Sequence[UrdfJoint]) -> list[UrdfJoint]:
+    """Return joints that the root link carries, parents first, otherwise in file order."""
+    children: dict[str, list[UrdfJoint]] = {}
+    for joint in joints:
+        children.setdefault(joint.parent, []).append(joint)
+    order, waiting = list[UrdfJoint](), [root]
+    while waiting:
+        carried = children.get(waiting.pop(0), [])
+        order += carried
+        waiting = [joint.child for joint in carried] + waiting
+    return order

@@ -40,8 +40,7 @@ _MODEL = "__model__"
 def read_sdf(source: bytes, path: str) -> MjcfRobot:
     """Read the first model of an SDF file from its bytes.
 
-    Raises:
-        UrdfError: The file is not valid, or URDF has no equivalent for its content.
+    `UrdfError` if the file is not valid, or URDF has no equivalent for its content.
     """
     try:
         root = ElementTree.fromstring(source)
@@ -129,16 +128,11 @@ class _SdfReader:
             raise UrdfError(f"{self.path}: '{name}' {why}")
         if name not in self.known:
             element = self.named[name]
-            usual: dict[str, str] = {
-                "link": "",
-                "joint": self._text(element, "child"),
-                "frame": element.get("attached_to", ""),
-            }
+            child, body = self._text(element, "child"), element.get("attached_to", "")
+            usual = {"link": "", "joint": child, "frame": body}[element.tag]
             pose = element.find("pose")
-            about: str = "" if pose is None else pose.get("relative_to", "")
-            self.known[name] = self._place(about or usual[element.tag] or _MODEL, (*waiting, name)) * self._pose(
-                element
-            )
+            about = ("" if pose is None else pose.get("relative_to", "")) or usual or _MODEL
+            self.known[name] = self._place(about, (*waiting, name)) * self._pose(element)
         return self.known[name]
 
     def _end(self, joint: Element, tag: str) -> str:

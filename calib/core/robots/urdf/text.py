@@ -23,31 +23,11 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, UrdfError, require_known
 from calib.core.base.files import read_bytes
 from calib.core.robots.urdf.mjcf_reading import MjcfRobot, outermost, read_mjcf
-from calib.core.robots.urdf.reader import (
-    HELD_TYPES,
-    MOVING_TYPES,
-    NUMBER,
-    UNSUPPORTED_TYPES,
-    Span,
-    Triple,
-    UrdfJoint,
-    UrdfReader,
-)
+from calib.core.robots.urdf.reader import NUMBER, UNSUPPORTED_TYPES, Span, Triple, UrdfJoint, UrdfReader, from_root
 from calib.core.robots.urdf.sdf_reading import read_sdf
 from calib.core.robots.urdf.ur_kinematics import read_origins, ur_urdf
 from calib.core.robots.urdf.writing import number_attribute, shortest
 from calib.core.robots.urdf.xacro_files import expand
-
-__all__ = [
-    "HELD_TYPES",
-    "MOVING_TYPES",
-    "UNSUPPORTED_TYPES",
-    "Triple",
-    "UrdfJoint",
-    "UrdfText",
-    "parse_urdf",
-    "read_urdf",
-]
 
 _ATTRIBUTE = re.compile(rb"""([^\s=<>/'"]+)\s*=\s*("[^"]*"|'[^']*')""")
 _BLANK = re.compile(rb"[ \t\r\n]*")
@@ -87,16 +67,7 @@ class UrdfText:
     @property
     def joints_from_root(self) -> list[UrdfJoint]:
         """Joints with parents first, otherwise in file order."""
-        children: dict[str, list[UrdfJoint]] = {link: [] for link in self.links}
-        for joint in self.joints:
-            children[joint.parent].append(joint)
-        order: list[UrdfJoint] = []
-        waiting = [self.root]
-        while waiting:
-            joints = children[waiting.pop(0)]
-            order.extend(joints)
-            waiting = [joint.child for joint in joints] + waiting
-        return order
+        return from_root(self.root, self.joints)
 
     def limits(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits, (n,) each [m or rad]; infinite if the URDF has none."""
@@ -108,9 +79,7 @@ class UrdfText:
         """Return the file with the `xyz` [m] and `rpy` [rad] of the named joints' origins replaced.
 
         Numbers that do not change keep their spelling; a missing `<origin>` or attribute is added only if needed.
-
-        Raises:
-            UrdfError: Unknown joint, a number that is not finite, or an origin that the file cannot hold.
+        `UrdfError` for an unknown joint, a number that is not finite, or an origin that the file cannot hold.
         """
         by_name = {joint.name: joint for joint in self.joints}
         edits: list[Edit] = []
@@ -176,11 +145,7 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
 
 
 def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:
-    """Raise `DescriptionError` for a floating or planar joint, whose motion no joint value states.
-
-    Args:
-        joints: Joints between the frames of the instruments.
-    """
+    """Raise `DescriptionError` if a joint is floating or planar: no joint value states its motion."""
     for joint in joints:
         if joint.type in UNSUPPORTED_TYPES:
             raise DescriptionError(

@@ -25,7 +25,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError
 from calib.core.base.sections import read_yaml
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.numerics.halton import halton
 from calib.core.numerics.rigid import best_transform
 from calib.core.robots.urdf.writing import joint_text, robot_text
@@ -69,11 +69,7 @@ def nominal_origins(model: str) -> FloatArray:
 
 
 def points(origins: FloatArray) -> FloatArray:
-    """Return the position of a point on the last axis at many poses, (n, 3) [m].
-
-    Args:
-        origins: x y z [m] roll pitch yaw [rad], (6, 6).
-    """
+    """Return a point on the last axis at many poses, (n, 3) [m]; `origins` have xyz [m] and rpy [rad], (6, 6)."""
     turn = scipy.spatial.transform.Rotation.from_euler
     q = 2 * np.pi * halton(_POSES + 1, 6)[1:] - np.pi
     p = np.tile(_TOOL, (_POSES, 1))
@@ -109,8 +105,7 @@ def is_ur_kinematics(content: object) -> bool:
 def read_origins(path: Path | str) -> FloatArray:
     """Read the six origins, x y z [m] roll pitch yaw [rad], (6, 6).
 
-    Raises:
-        UrdfError: A number is missing, or the robot is of a known type only with the other sign of a number.
+    `UrdfError` if a number is missing, or the robot is of a known type only with the other sign of a number.
     """
     content = read_yaml(path)
     if not is_ur_kinematics(content):
@@ -140,9 +135,10 @@ def _require_sound(origins: FloatArray, path: Path | str) -> None:
         tried.append((*nearest_type(turned)[::-1], f"kinematics.{LINKS[k]}.{KEYS[j]}"))
     left, model, where = min(tried)
     if left < _FAR:
+        as_it_is, otherwise = (quantity_text(x, "length", form) for x, form in ((away, ".0f"), (left, ".1f")))
         raise UrdfError(
-            f"{path}: is {millimetres(away):.0f} mm RMS from every known type; with the other sign of {where} it would"
-            f" be a {model}, {millimetres(left):.1f} mm from nominal: a sign is lost; extract the calibration again"
+            f"{path}: is {as_it_is} RMS from every known type; with the other sign of {where} it would be a {model},"
+            f" {otherwise} from nominal: a sign is lost; extract the calibration again"
         )
 
 

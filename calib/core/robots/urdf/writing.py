@@ -38,14 +38,9 @@ def joint_text(
     axis: str,
     limits: tuple[float, float] | None,
 ) -> str:
-    """Return the element of a joint of a new URDF.
+    """Return the element of a joint of a new URDF; `links` are its parent and child.
 
-    Args:
-        kind: Type in URDF.
-        links: Parent and child.
-        xyz, rpy: Its origin [m], [rad].
-        axis: Three numbers; empty for a fixed joint.
-        limits: Lowest and highest value [m or rad], or None.
+    `axis` has three numbers, or none if the joint is fixed; `limits` are lowest and highest value [m or rad], or None.
     """
     parent, child = map(quote_attribute, links)
     lines = [

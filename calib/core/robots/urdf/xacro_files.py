@@ -42,14 +42,7 @@ _EMPTY = re.compile(r"<xacro:arg\s+name=\"([A-Za-z]\w*)\"\s+default=\"\"")
 
 
 def expand(path: Path | str, arguments: Mapping[str, str]) -> bytes:
-    """Return the URDF of a xacro file, expanded by the optional package xacro.
-
-    Args:
-        arguments: Values of its arguments by name.
-
-    Raises:
-        UrdfError: The package is missing, or the file cannot be expanded.
-    """
+    """Return the URDF of a xacro file, expanded by the package xacro; `UrdfError` if that is missing or fails."""
     given = [f"{name}:={value}" for name, value in arguments.items()]
     elsewhere = f"or expand it on a computer with ROS: {' '.join(['xacro', str(path), *given])} > robot.urdf"
     environment = {name: os.environ[name] for name in (*_PACKAGES, *_SYSTEM) if name in os.environ}
@@ -94,12 +87,7 @@ def _main(path: str, *given: str) -> int:
 
 
 def _process(xacro: Any, path: str, values: dict[str, str]) -> Any:
-    """The expanded document.
-
-    Raises:
-        _OutsideError: Arguments without a value; it names all of them.
-        Exception: Any other error of xacro.
-    """
+    """The expanded document; `_OutsideError` names all arguments without a value."""
     lacking: dict[str, str] = {}
     while True:
         try:
@@ -167,21 +155,13 @@ class _OutsideError(Exception):
 
 
 class _Packages:
-    """Folders of packages: the one around a file, and others once they are used.
-
-    Attributes:
-        own: Folder of the package around the file.
-        found: Folders of others, by name.
-    """
+    """Folders of packages: the one around a file, and others once they are `found`, by name."""
 
     def __init__(self, path: Path) -> None:
         around = next((folder for folder in path.parents if (folder / "package.xml").is_file()), None)
         self.own = around or (path.parents[1] if len(path.parents) > 2 else path.parent)
         self.found: dict[str, str] = {}
-        self._prefixes, self._roots = (
-            _folders_in_variable("AMENT_PREFIX_PATH"),
-            _folders_in_variable("ROS_PACKAGE_PATH"),
-        )
+        self._prefixes, self._roots = map(folders_in_variable, ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH"))
 
     def find(self, name: str) -> str:
         """Return the folder of a package."""
@@ -204,8 +184,8 @@ class _Packages:
                 yield from (file.parent for file in sorted(root.glob("*/" * depth + "package.xml")))
 
 
-def _folders_in_variable(name: str) -> list[str]:
-    """Folders in an environment variable."""
+def folders_in_variable(name: str) -> list[str]:
+    """Return the folders that an environment variable names."""
     return [entry for entry in os.environ.get(name, "").split(os.pathsep) if entry]
 
 
@@ -220,7 +200,7 @@ def _is_package(folder: Path, name: str) -> bool:
 
 def _guard(packages: _Packages) -> Callable[[str, tuple[object, ...]], None]:
     """A hook of Python that refuses to open files outside packages, and to start programs."""
-    installed = [entry for name in _PACKAGES for entry in _folders_in_variable(name)]
+    installed = [entry for name in _PACKAGES for entry in folders_in_variable(name)]
     python = [sys.prefix, sys.base_prefix, *sys.path]
     folders = [os.path.realpath(folder) for folder in (str(packages.own), *installed, *python) if folder]
 

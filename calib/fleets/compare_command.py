@@ -6,7 +6,7 @@ import click
 
 from calib import pictures
 from calib.core.commands.common import Output, shared_options
-from calib.core.results.comparing_results import compare
+from calib.fleets.comparing_results import compare
 
 
 @click.command("compare")

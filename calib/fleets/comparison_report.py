@@ -1,4 +1,4 @@
-"""The page of a comparison of results, which `calib.core.results.comparing_results` makes."""
+"""The page of a comparison of results, which `calib.fleets.comparing_results` makes."""
 
 from __future__ import annotations
 

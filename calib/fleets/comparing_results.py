@@ -37,16 +37,15 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
-from calib.core.base.parameter import Parameter
 from calib.core.base.words import count_noun, distinct_names, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import HARDLY
-from calib.core.results.comparison_report import Difference, Pair, ResultComparison
 from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.result_content import to_dict
 from calib.core.results.result_reading import load_result
 from calib.core.robots.robot import Robot
+from calib.fleets.comparison_report import Difference, Pair, ResultComparison
 
 _OWN = 1e-3  # a difference with less than this part of both variances comes from the prior alone
 _ERRORS = {
@@ -68,21 +67,8 @@ class _Result:
         return str(self.loaded.content["verdict"]["grade"])
 
     @cached_property
-    def free(self) -> tuple[str, ...]:
-        return self.loaded.free_names
-
-    @property
-    def freedom(self) -> float:
-        return float(self.loaded.content["degrees_of_freedom"])
-
-    @cached_property
     def readings(self) -> dict[str, dict[bytes, float]]:
         return self.loaded.readings()
-
-    def parameters(self, names: Sequence[str]) -> list[Parameter]:
-        """Return the parameters of these names."""
-        every = self.loaded.robot.parameters
-        return [every[place] for place in every.places(names)]
 
 
 def compare(*results: Fit | Path | str) -> ResultComparison:
@@ -205,7 +191,7 @@ def _notes(first: _Result, other: _Result) -> list[str]:
     if why:
         return [f"no tests, because {why}."]
     notes = ["tested as measurements with independent noise; no reading is in both."]
-    only = sorted(set(first.free) ^ set(other.free))
+    only = sorted(set(first.loaded.free_names) ^ set(other.loaded.free_names))
     if only:
         notes.append(f"{count_noun(len(only), 'parameter')} free in only one ({only[0]}); this may make others differ.")
     if "CHECK" in {result.grade for result in (first, other)}:
@@ -215,7 +201,7 @@ def _notes(first: _Result, other: _Result) -> list[str]:
 
 def _p_values(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
     """p-values by name, not corrected, and the p-value of all together."""
-    common = [name for name in first.free if name in other.free]
+    common = [name for name in first.loaded.free_names if name in other.loaded.free_names]
     if _why_not(first, other) or not common:
         return {}, np.nan
     (value_a, cov_a, sigma_a), (value_b, cov_b, sigma_b) = (
@@ -225,28 +211,28 @@ def _p_values(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
     both = difference_covariance(cov_a, cov_b, np.where(shared, 1.0 / np.where(shared, sigma_a, 1.0) ** 2, 0.0))
     variance, total = np.diag(both), np.diag(cov_a) + np.diag(cov_b)
     testable = variance > _OWN * total
-    freedom = total**2 / (np.diag(cov_a) ** 2 / first.freedom + np.diag(cov_b) ** 2 / other.freedom)
+    freedom_a, freedom_b = (float(result.loaded.content["degrees_of_freedom"]) for result in (first, other))
+    freedom = total**2 / (np.diag(cov_a) ** 2 / freedom_a + np.diag(cov_b) ** 2 / freedom_b)
     change = value_b - value_a
     t = np.abs(change) / np.sqrt(np.where(testable, variance, 1.0))
     p = np.where(testable, 2.0 * scipy.special.stdtr(freedom, -t), np.nan)
-    of_robot = np.array([not p.placement for p in first.parameters(common)])
+    of_robot = np.array([not first.loaded.robot.parameters[name].placement for name in common])
     scale = np.sqrt(total[of_robot])
     sizes, axes = linalg.eigh(both[np.ix_(of_robot, of_robot)] / np.outer(scale, scale))
     kept = sizes > _OWN
     squares = (axes[:, kept].T @ (change[of_robot] / scale)) ** 2 / sizes[kept]
-    n, least = int(np.sum(kept)), min(first.freedom, other.freedom)
+    n, least = int(np.sum(kept)), min(freedom_a, freedom_b)
     together = float(scipy.special.fdtrc(n, least, np.sum(squares) / n)) if n else np.nan
     return dict(zip(common, map(float, p), strict=True)), together
 
 
 def _common_parameters(result: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values, covariance, and known sigmas of priors (NaN: none) of these free parameters [SI]."""
-    place = [result.free.index(name) for name in common]
-    values = result.loaded.robot.values[result.loaded.robot.parameters.places(common)]
-    sigma = np.array(
-        [p.sigma_si if p.prior and not p.family and p.mean_si is None else np.nan for p in result.parameters(common)]
-    )
-    return values, result.loaded.uncertainty.covariance[np.ix_(place, place)], sigma
+    robot, free = result.loaded.robot, result.loaded.free_names
+    at, place = robot.parameters.places(common), [free.index(name) for name in common]
+    shown = [robot.parameters[k] for k in at]
+    sigma = [p.sigma_si if p.prior and not p.family and p.mean_si is None else np.nan for p in shown]
+    return robot.values[at], result.loaded.uncertainty.covariance[np.ix_(place, place)], np.array(sigma)
 
 
 def _errors(

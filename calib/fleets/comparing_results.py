@@ -256,6 +256,9 @@ def _errors(
         if best is None:
             raise DataError(f"{result.name}: its result.json has no errors; run the fit again")
         value = result.loaded.content["errors"][best]["after"]["rms"]
+        claim = result.loaded.content["verdict"].get("claim")
+        if best == "identification" and claim and claim["unit"] == unit:  # errors at used readings are always smaller
+            best, value = "cross_validation", claim["rms"]
         values.append(np.nan if value is None else float(value))
         where.append(_ERRORS[best])
     return tuple(values), unit, tuple(where), ()

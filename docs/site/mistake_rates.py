@@ -1,12 +1,12 @@
 """Rates at which usual mistakes in a file are found and named: simulated calibrations of four robots, each with one.
 
-    python docs/site/mistake_rates.py [--every N] [--robots NAMES] [--only WORDS] [--kept FILE] [--page]
+    python docs/site/mistake_rates.py [--every N] [--every-order] [--robots NAMES] [--only WORDS] [--kept FILE] [--page]
 
 Mistakes are columns of joints in another order, rows that are shifted, a joint that is scaled, columns of the
 measurement in another order or one of them scaled, another unit, a range that was mapped, rows that were copied, a tool
 that sits elsewhere, a target on another link.
---every N tries one in N of them; --page puts the table into docs/howto/when_it_fails.md. --kept FILE collects outcomes,
-so that a run that was ended goes on where it was.
+--every N tries one in N of them; --every-order takes all orders of the columns of joints, not a choice; --page puts the
+table into docs/howto/when_it_fails.md. --kept FILE collects outcomes, so that a run that ended goes on where it was.
 """
 
 from __future__ import annotations
@@ -102,12 +102,12 @@ def laboratory(name: str) -> tuple[calib.Robot, calib.Robot, Array, Array]:
     return nominal, truth, q, seen + 3e-5 * rng.standard_normal(seen.shape)
 
 
-def mistakes(name: str) -> Iterator[Mistake]:
-    """Yield every mistake in measurements of a robot."""
+def mistakes(name: str, every_order: bool = False) -> Iterator[Mistake]:
+    """Yield every mistake in measurements of a robot; of the orders of its joints' columns, a choice or all."""
     nominal, truth, q, points = laboratory(name)
     names, n = nominal.joint_names, q.shape[1]
     turning = np.array([nominal.mechanism.dimensions[joint] == "angle" for joint in names])
-    yield from _orders(names, turning)
+    yield from _orders(names, turning, every_order)
     for rows in (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5):
         said = f"{'1 row' if abs(rows) == 1 else f'{abs(rows)} rows'} {'below' if rows > 0 else 'above'}"
         yield Mistake("rows shifted", f"{rows} rows", _shifted(rows), said.replace("1 row ", "(1|one) row "))
@@ -148,19 +148,26 @@ def mistakes(name: str) -> Iterator[Mistake]:
         yield Mistake("target on another link", link, lambda q, p, seen=seen: (q, seen), "links?\\b|moves? with")
 
 
-def _orders(names: tuple[str, ...], turning: Array) -> Iterator[Mistake]:
-    """Columns of joints in another order: of six or fewer, all orders of one kind of joint."""
-    turns = np.flatnonzero(turning)
-    orders = list(permutations(turns)) if len(turns) > 1 else []
-    chosen = [order for order in orders if 0 < sum(a != b for a, b in zip(order, turns, strict=True)) <= 3]
-    others = [order for order in orders if sum(a != b for a, b in zip(order, turns, strict=True)) > 3]
-    chosen += [others[k] for k in np.random.default_rng(1).permutation(len(others))[:20]]
-    for order in chosen:
+def _orders(names: tuple[str, ...], turning: Array, every: bool) -> Iterator[Mistake]:
+    """Columns of joints in another order, numbers as the file has them: all, or a choice among joints that turn."""
+    moving = np.arange(len(names)) if every else np.flatnonzero(turning)
+    orders = list(permutations(moving))[1:]
+    far = np.array([np.sum(order != moving) > 3 for order in orders], dtype=bool)
+    if not every:
+        some = np.random.default_rng(1).permutation(np.flatnonzero(far))[:20]
+        orders = [orders[k] for k in (*np.flatnonzero(~far), *some)]
+    unit = np.where(turning, np.radians(1.0), 1e-3)
+    for order in orders:
         index = np.arange(len(names))
-        index[turns] = order
+        index[moving] = order
         moved = [names[k] for k in range(len(names)) if index[k] != k]
         pattern = "columns of .*" + "".join(rf"(?=.*\b{name}\b)" for name in moved)
-        yield Mistake("joint columns", f"order {index.tolist()}", lambda q, p, index=index: (q[:, index], p), pattern)
+        yield Mistake("joint columns", f"order {index.tolist()}", _ordered(index, unit), pattern)
+
+
+def _ordered(index: NDArray[np.int_], unit: Array) -> Callable[[Array, Array], tuple[Array, Array]]:
+    """Columns of joints in this order, their numbers in the units of the file."""
+    return lambda q, p: ((q / unit)[:, index] * unit, p)
 
 
 def _shifted(rows: int) -> Callable[[Array, Array], tuple[Array, Array]]:
@@ -254,6 +261,7 @@ def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--every-order", action="store_true")
     parser.add_argument("--robots", default=",".join(ROBOTS))
     parser.add_argument("--only", default="")
     parser.add_argument("--kept", type=Path)
@@ -263,7 +271,8 @@ def main() -> None:
     done = {(o.robot, o.kind, o.words, o.held_out): o for o in (Outcome(**json.loads(line)) for line in kept)}
     outcomes = []
     for robot in options.robots.split(","):
-        chosen = [mistake for mistake in mistakes(robot) if options.only in f"{mistake.kind}: {mistake.words}"]
+        tried = mistakes(robot, options.every_order)
+        chosen = [mistake for mistake in tried if options.only in f"{mistake.kind}: {mistake.words}"]
         for mistake, held_out in product(chosen[:: options.every], _HELD_OUT):
             key = (robot, mistake.kind, mistake.words, held_out)
             found = done.get(key) or outcome(robot, mistake, held_out)

@@ -41,6 +41,8 @@ from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import validation_errors
 from calib.core.fitting.validation import readings_at
+from calib.core.numerics.chances import HARDLY
+from calib.core.numerics.statistics import chi_square
 from calib.core.numerics.tall import Span
 from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
 from calib.core.rows.rows import Rows
@@ -111,6 +113,22 @@ def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
 def _prediction_shifts(rows: Rows) -> tuple[FloatArray, FloatArray]:
     """Shifts of poses that are left out in turn; copies of a fit share them, as they hold the same rows."""
     return rows.leave_out_blocks(rows.layout.pose_of_row).shifts_without_block(rows.residuals, alone=_DECIDES)
+
+
+def left_out_ratio(fit: Fit) -> float:
+    """Return the ratio of errors of left-out poses to those by noise and covariance; 1 where chance explains it.
+
+    With whitened residuals r and e = (1 - H)^-1 r of a pose, used and left out: E r.e = n f^2 for its n rows, where f^2
+    is r.r of all over the degrees of freedom. It is more if sizes of terms were chosen to suit the readings.
+    """
+    rows, freedom = fit.weighted_rows, fit.statistics.freedom
+    moved, decided = _prediction_shifts(rows)
+    kept = ~np.isin(rows.layout.pose_of_row, np.flatnonzero(decided > _DECIDES))
+    r, square = rows.residuals[kept], float(np.sum(rows.residuals**2))
+    if fit.computed or not (len(r) and freedom > 0 and square > 0):
+        return 1.0
+    ratio = float(np.sqrt(max(r @ (r + moved[kept]) / len(r) * freedom / square, 1.0)))
+    return ratio if chi_square(ratio, len(r)).p_larger < HARDLY else 1.0
 
 
 def rms_shift_left_out(fit: Fit) -> float:

@@ -16,8 +16,9 @@ from typing import Literal
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.errors import InputError
+from calib.core.base.errors import CalibrationError, InputError
 from calib.core.base.threads import one_blas_thread
+from calib.core.base.words import count_noun
 from calib.core.base.workers import Progress, results_in_order
 from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import repeated_poses, shuffled_poses
@@ -111,7 +112,12 @@ def cross_validate(
 @one_blas_thread
 def _leave_out_fold(fit: FitAndPredict, data: Measurements, held: IntArray) -> tuple[ErrorSet, bool]:
     """Errors at the visits of one fold (n_in_fold,) by the fit of all others, and whether that converged."""
-    fitted = fit(data.subset(np.setdiff1d(np.arange(len(data)), held)), data.subset(held))
+    used = data.subset(np.setdiff1d(np.arange(len(data)), held))
+    try:
+        fitted = fit(used, data.subset(held))
+    except CalibrationError as error:
+        part = f"{used.n_poses} of {count_noun(data.n_poses, 'pose')}"
+        raise type(error)(f"fit without one fold ({part}): {error}; or ask for more folds") from error
     assert fitted.validation is not None
     return fitted.validation, fitted.converged
 

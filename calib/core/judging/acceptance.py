@@ -11,7 +11,9 @@ With C = L L^T this is the least-squares problem y = X b + e of
     y = [r; 0],      X = [J L, P; I, 0],      |e|^2 = Q ~ chi^2_m,   m = readings' rows - rank P
 
 As noise and C were found with nu degrees of freedom, Q / m is compared with F(m, nu). This counts the uncertainty of
-the calibration; residuals against the noise alone would condemn every calibration.
+the calibration; residuals against the noise alone would condemn every calibration. Where poses left out of the
+calibration were further off than C and its noise explain (`calib.core.fitting.unseen_errors.left_out_ratio`), both are
+widened by as much.
 
 Where the readings of a pose shared errors in the calibration, so that poses scattered rho times as much as independent
 readings (`calib.core.numerics.clusters`), m readings count as m / rho^2 degrees of freedom against nu, and z is divided

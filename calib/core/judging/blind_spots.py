@@ -48,7 +48,7 @@ def _scale(fit: Fit) -> Iterator[str]:
     made = least * float(np.linalg.norm(column)) / np.sqrt(linear.freedom)
     if made > NO_MATTER * linear.factor:
         below = f" below {float(f'{millimetres(least):.2g}'):g} mm in 1 m" if least < LARGEST else ""
-        yield f"a scale error{below}, of the instrument or from heat (no known length was measured)"
+        yield f"a scale error{below}, of the instrument or from heat (nothing of known length was measured)"
 
 
 def _whose_noise(fit: Fit) -> Iterator[str]:

@@ -23,6 +23,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import numbers_by_instrument
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.solving import place
+from calib.core.fitting.unseen_errors import left_out_ratio
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.identifiability import RANK_TOLERANCE, unit_columns
@@ -38,6 +39,7 @@ POWER = 0.9
 """Chance with which a change shall be seen."""
 _OUTLIERS = 0.05  # largest part of the readings that is left out
 _PARALLEL = 1.0 - 1e-6  # columns with a larger cosine count as equal
+_LARGEST = 0.2  # a change that shows only above this size is beyond the linear model [m or rad]
 _JOINT_STEP = 1e-3  # unit of changes of joint zeros [rad, or characteristic lengths]
 
 
@@ -76,13 +78,21 @@ class Promise:
             shared = 1.0 if statistics.shared_scatter is None else statistics.shared_scatter.ratio
             data, covariance = calibrated.identification.data, calibrated.covariance.values
             decided, names = statistics.effective_parameters, tuple(map(str, data.names))
-            return Promise(calibrated.robot, covariance, statistics.freedom, sigma, shared, decided, data.joints, names)
+            promise = Promise(
+                calibrated.robot, covariance, statistics.freedom, sigma, shared, decided, data.joints, names
+            )
+            return promise.widen(left_out_ratio(calibrated))
         if isinstance(calibrated, HasPromise):
             return calibrated.promise
         raise InputError(
             f"calibrated: expected a fit, or a result as calib.load_result(folder) loads it, not"
             f" {type(calibrated).__name__}"
         )
+
+    def widen(self, ratio: float) -> Promise:
+        """Return the promise of errors this many times as large."""
+        sigma = {key: ratio * size for key, size in self.sigma.items()}
+        return replace(self, covariance=ratio**2 * self.covariance, sigma=sigma)
 
     def with_common_error(self, n_rows: int) -> Promise:
         """Return the promise where unexplained errors may be one common error of n rows, though no larger.
@@ -310,7 +320,9 @@ class System:
         """Return visible candidates, the largest z first."""
         left, listed = self._orthogonal_part(self.candidate_columns), candidates(self.promise.robot)
         size, full_size = np.linalg.norm(left, axis=0), np.linalg.norm(self.candidate_columns, axis=0)
-        visible = np.flatnonzero(size > 1e-6 * np.maximum(full_size, 1e-300))
+        weakest = self.promise.shared * _noncentrality(FALSE_ALARM / 2, self.promise.freedom) / _LARGEST
+        seen = size > weakest * np.array([candidate.scale for candidate in listed])
+        visible = np.flatnonzero(seen & (size > 1e-6 * np.maximum(full_size, 1e-300)))
         if len(visible) == 0:
             return ()
         unit = left[:, visible] / size[visible]

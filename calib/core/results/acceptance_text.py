@@ -18,7 +18,6 @@ from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 
 _SHOWN, _WIDTH = 5, 120  # changes; characters of a line
 _APART = 0.1  # a ratio and a ratio of millimetres that are nearer, on both sides of 1, do not contradict each other
-_LARGEST = 1.0  # a change is too large for the linear model if its detectable size is larger [m or rad]
 _LARGER = "errors are larger than the calibration claims"
 _PATTERN = "errors are no larger than the calibration claims, but have the pattern of a change of the robot"
 _SENTENCES = {
@@ -213,8 +212,7 @@ def _heading(changes: Sequence[Change]) -> str:
 def _changes(changes: Sequence[Change], *, with_values: bool = True) -> Table:
     left, heads = ("change of", "unit"), ("std", "detectable")
     table = text_table((*left, *(("found",) if with_values else ()), *heads), left, plain=True)
-    seen = [change for change in changes if change.significant or change.visible < _LARGEST]
-    for change in seen[:_SHOWN]:
+    for change in changes[:_SHOWN]:
         unit, scale = display_unit(change.dimension)
         numbers = [x * scale for x in (*((change.value,) if with_values else ()), change.std, change.visible)]
         table.add_row(change.name, unit, *("" if np.isnan(x) else f"{x:.4f}" for x in numbers))

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -111,6 +112,17 @@ def test_folds_predict_each_pose_by_a_fit_that_did_not_see_it(arm):
 def test_a_senseless_number_of_folds_is_an_error(arm, folds):
     with pytest.raises(calib.InputError, match=f"folds {folds}: must be 2 or more"):
         calib.fit(arm, noisy(arm, joints(45), 4e-5, seed=1), folds=folds)
+
+
+def test_an_error_of_a_fit_without_one_fold_says_so():
+    """The file has enough poses; those without a fold do not."""
+    examples = Path(__file__).parents[1] / "docs" / "examples"
+    robot = calib.load(examples / "five_bar.yaml")
+    data = calib.read_measurements(examples / "five_bar_simulated.csv", robot)[:8]
+    with pytest.raises(
+        calib.CalibrationError, match=r"fit without one fold \(4 of 8 poses\): .*; or ask for more folds"
+    ):
+        calib.fit(robot, data, folds=2)
 
 
 def test_before_is_with_base_and_target_placed_alone(tmp_path):

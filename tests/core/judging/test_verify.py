@@ -17,9 +17,9 @@ from calib.core.data.measurement_files import format_measurements
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.table_writing import format_table
 from calib.core.judging.acceptance import verify, visible_changes
-from calib.core.judging.promise import Change, Promise, System, without_outliers
+from calib.core.judging.promise import Promise, System, candidates, without_outliers
 from calib.core.judging.repeatability import CONDITIONS, conditions, iso_figures
-from calib.core.results.acceptance_text import plan_report, text_report
+from calib.core.results.acceptance_text import text_report
 from calib.core.results.result_reading import load_result
 from tests.project import EXAMPLES
 from tests.small_robots import ARM_YAML, write_arm
@@ -172,12 +172,38 @@ def test_readings_that_agree_with_anything_are_too_few(arm):
         assert share == pytest.approx(0.9, abs=0.01)
 
 
-def test_a_change_that_would_have_to_be_as_large_as_the_robot_is_not_listed():
-    """The zero of a first joint looks like another place of the tracker: it would show from 828 deg on."""
-    changes = [Change(name, "angle", 0.1, size / 5, 0.5, size, 1.0) for name, size in (("elbow", 0.5), ("waist", 14.4))]
-    text = plan_report(changes, "data.csv", 10)
-    assert "elbow" in text
-    assert "waist" not in text
+def test_a_change_that_would_have_to_be_as_large_as_the_robot_is_not_looked_for(arm):
+    """Of the UR10, another day of the same week changed the origin of its wrist "by -440 mm"; its prior is 1 mm."""
+    robot, _, fit = arm
+    q = np.random.default_rng(3).uniform(-0.02, 0.02, (9, 6))
+    changes = visible_changes(fit, q)
+    assert 0 < len(changes) < len(candidates(robot))
+    assert max(change.visible for change in changes) < 0.25  # 0.2 where one change is looked for
+
+
+def test_a_promise_is_as_wide_as_poses_left_out_show():
+    """A pose that decides much, with an error of the model, is far off if it is left out."""
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    data = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", robot)[:24]
+    q, points = data.joints, data.points(robot).copy()
+    far = np.argsort(np.linalg.norm(q - q.mean(axis=0), axis=1))[-4:]
+    points[far, ..., :2] += 4e-4 * np.random.default_rng(5).standard_normal((4, *points.shape[1:-1], 2))
+
+    def errors(fit, rows):
+        return (fit.robot.positions(q[rows]) - points[rows])[..., :2]
+
+    def fitted(rows):
+        return calib.fit(robot, calib.as_measurements(robot, q[rows], points[rows]))
+
+    fit, rows = fitted(np.arange(24)), np.arange(24)
+    r = errors(fit, rows)
+    e = np.concatenate([errors(fitted(np.delete(rows, k)), [k]) for k in rows])
+    noise = fit.noise[0].sigma
+    ratio = np.sqrt(np.sum(r * e) / (3 * r.size / 2)) / noise  # rows across the plane are noise alone
+    promise = Promise.from_calibration(fit)
+    assert ratio > 1.1
+    assert next(iter(promise.sigma.values())) == pytest.approx(ratio * noise, rel=0.1)
+    assert np.allclose(promise.covariance, (next(iter(promise.sigma.values())) / noise) ** 2 * fit.covariance.values)
 
 
 @pytest.mark.quick(0)

@@ -82,6 +82,16 @@ def test_errors_are_on_the_same_rows_where_there_are_any(fits, tmp_path):
     assert calib.compare(fits / "before", fits / "shifted").errors_on == ("readings that it did not use",) * 2
 
 
+def test_a_fit_without_other_poses_is_compared_by_poses_left_out(fits, robot, tmp_path):
+    """Errors at the readings that it used are smaller; beside errors at other poses they would look better."""
+    fit = calib.fit(robot, calib.simulate(robot, calib.sample(robot, 30, np.random.default_rng(5)), SIGMA, seed=6))
+    fit.save(tmp_path / "alone", pages=False)
+    compared = calib.compare(fits / "before", tmp_path / "alone")
+    assert compared.errors_on[1] == "poses left out in turn"
+    assert compared.errors[1] == pytest.approx(1e3 * fit.verdict.claim.at_measured_poses.rms)
+    assert compared.errors[1] > 1e3 * fit.rms
+
+
 def test_a_failed_fit_is_not_tested(fits, tmp_path):
     shutil.copytree(fits / "again", tmp_path / "failed")
     with_verdict(tmp_path / "failed", "FAIL", "not to be used")

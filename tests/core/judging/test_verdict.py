@@ -286,7 +286,8 @@ def test_the_score_for_rounding_is_that_of_whole_matrices(arm, truth):
 def test_a_scale_that_nothing_shows_is_named(tmp_path, prior_arm):
     free = calib.fit(prior_arm, noisy(prior_arm, joints(80), SIGMA, 1), sigma=SIGMA)
     assert any(
-        text.startswith("a scale error") and "nothing of known length was measured" in text for text in free.verdict.not_covered
+        text.startswith("a scale error") and "nothing of known length was measured" in text
+        for text in free.verdict.not_covered
     )
     yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
     robot = calib.load(write_six_axis(tmp_path, yaml))

@@ -3,6 +3,16 @@
 import os
 import subprocess
 import sys
+from functools import partial
+from unittest import mock
+
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from calib.core.fitting.unexplained import unexplained_errors
+from calib.core.judging.acceptance import verify
+from tests.viz.viz_examples import five_bar_fit
+from viz.pictures import pages
 
 PROGRAM = """
 import sys
@@ -30,3 +40,25 @@ def test_a_blas_that_is_loaded_inside_the_function_has_one_thread_as_well():
     environment["OPENBLAS_NUM_THREADS"] = "2"
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, env=environment, check=True)
     assert set(done.stdout.split()) == {"1"}
+
+
+@pytest.mark.parametrize(
+    ("compute", "within"),
+    [
+        (pages, "viz.scene.scene_of_fit"),
+        (partial(unexplained_errors, sized=False), "calib.core.fitting.unexplained.solve_beside_noise"),
+        (lambda fit: verify(fit, fit.identification.data), "calib.core.judging.acceptance.without_outliers"),
+    ],
+)
+def test_pages_what_they_ask_for_and_verdicts_on_new_readings_are_computed_with_one_thread(compute, within):
+    """On two busy cores, two threads took a second of the time of a page of 300 poses."""
+    threads = set()
+
+    def looking(*arguments, **options):
+        own = (library for library in threadpool_info() if library["prefix"] == "libscipy_openblas")  # NumPy, SciPy
+        threads.update(library["num_threads"] for library in own)
+        raise KeyboardInterrupt
+
+    with threadpool_limits(2, user_api="blas"), mock.patch(within, looking), pytest.raises(KeyboardInterrupt):
+        compute(five_bar_fit())
+    assert threads == {1}

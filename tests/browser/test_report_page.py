@@ -142,6 +142,12 @@ def test_the_robot_is_drawn_once_and_seen_with_the_plots_of_the_window(chromium,
     assert plots >= 1
 
 
+def test_the_band_of_what_was_expected_is_in_the_legend(small_report):
+    labels = """calibrationReport.charts.find(({ node }) => node.id === "forest").views[0].model.legend.items
+      .map(({ label }) => label.value)"""
+    assert small_report.page.evaluate(labels) == ["expected beforehand (95 %)", "change"]
+
+
 def test_on_paper_the_legend_is_large_and_covers_nothing_of_the_robot(report):
     tab = report(1240, 900)
     found = (

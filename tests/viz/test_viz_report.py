@@ -30,7 +30,7 @@ from tests.viz.viz_examples import (
     undrawn,
     words_of,
 )
-from viz.error_charts import _views, conditions, error_charts, page_rows
+from viz.error_charts import _cells, _views, conditions, error_charts, page_rows
 from viz.joint_charts import corrections, dials
 from viz.judgement import following_words, judgement_of_result, robot_to_load
 from viz.pose_sources import from_fit
@@ -450,6 +450,11 @@ def test_the_page_names_the_file_to_load(fit, monkeypatch, grade, start, end):
     assert words.startswith(start)
     assert words.endswith(end)
     assert f"Robot to load {start}" in words_of(undrawn(fit))
+
+
+def test_squares_of_the_workspace_lie_around_their_places():
+    x, y, mean, _ = _cells(np.array([500.0, 700.0]), np.array([100.0, 100.0]), np.array([1.0, 3.0]))
+    assert (x.tolist(), y.tolist(), mean.tolist()) == ([500.0, 700.0], [100.0, 100.0], [1.0, 3.0])
 
 
 def test_causes_of_the_error_fall_from_the_error_before_to_zero(fit):

@@ -44,7 +44,7 @@ function tickDistance(start, end, room, digit) {
     for (const mantissa of room < 150 ? [1, 1.5, 2, 3, 4, 5] : [1, 2, 5]) {
       const distance = mantissa * 10 ** power;
       const decimals = Math.max(0, (mantissa % 1 ? 1 : 0) - power);
-      const wide = digit * (whole + (decimals ? decimals + 1 : 0) + 2); // paper may have less room
+      const wide = digit * (whole + (decimals ? decimals + 1 : 0) + (room < 150 ? 1 : 2)); // paper may have less room
       if (room * distance / (end - start) > Math.max(wide, room / 8)) return distance;
     }
   }
@@ -223,8 +223,9 @@ class Chart {
     figure.toolbar.active_drag = TOUCH ? null : select;
     if (figure.legend.items.length > 0) {
       figure.legend.items.forEach((item) => { item.index = Math.max(0, (item.renderers[0].data_source.data.mark || []).indexOf("circle")); }); // no mark of validation
-      const letters = layers.reduce((sum, { label }) => sum + (label ? 5 + label.length : 0), 0);
-      Object.assign(figure.legend, { location: "top_left", orientation: "horizontal", ncols: 7 * letters > room - 60 ? 2 : "auto", label_text_color: this.ink, label_text_font_size: "12px",
+      const wide = layers.flatMap(({ label }) => (label ? [7 * (4 + label.length)] : [])).sort((a, b) => b - a); // of entries [px]
+      const sum = (count) => wide.slice(0, count).reduce((a, b) => a + b, 0);
+      Object.assign(figure.legend, { location: "top_left", orientation: "horizontal", ncols: sum(wide.length) < frame ? "auto" : sum(2) < frame ? 2 : 1, label_text_color: this.ink, label_text_font_size: "12px",
         background_fill_alpha: 0, border_line_color: null, click_policy: "hide", padding: 0, margin: 0 });
       figure.add_layout(figure.legend, "above");
     } else figure.legend.visible = false;

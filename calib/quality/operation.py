@@ -99,18 +99,22 @@ def _common_digits(found: FloatArray, certified: FloatArray) -> float:
 
 def _robots() -> Iterator[Check]:
     """Check positions, loops, derivatives and the recovery of a known truth on eight robots."""
-    product = f"within {millimetres(_FAR):g} mm of a product of single transforms"
-    differences = f"relative difference to central differences at most {_SLOPES:g}"
-    truth = f"readings without noise: within {millimetres(_FOUND):g} mm of the truth at other poses"
-    for seed, (name, robot) in enumerate(sample_robots()):
-        true = draw_robot(robot, seed, part=_SMALL)
-        joints = _common_poses(robot, true, _POSES, seed)
-        apart = _largest_difference(true, joints)
-        slopes = _slopes(true, joints[:5])
-        off = _recovery_error(robot, true, joints, seed)
-        yield _check(f"positions of the {name}", product, f"{millimetres(apart):.1e} mm", apart <= _FAR)
-        yield _check(f"Jacobian of the {name}", differences, f"{slopes:.1e}", slopes <= _SLOPES)
-        yield _check(f"recovery of the {name}", truth, f"{millimetres(off):.1e} mm", off <= _FOUND)
+    for number, (name, robot) in enumerate(sample_robots()):
+        yield from _robot(name, robot, number)
+
+
+def _robot(name: str, robot: Robot, seed: int) -> Iterator[Check]:
+    true = draw_robot(robot, seed, part=_SMALL)
+    joints = _common_poses(robot, true, _POSES, seed)
+    apart = _largest_difference(true, joints)
+    slopes = _slopes(true, joints[:5])
+    off = _recovery_error(robot, true, joints, seed)
+    expected = f"within {millimetres(_FAR):g} mm of a product of single transforms"
+    yield _check(f"positions of the {name}", expected, f"{millimetres(apart):.1e} mm", apart <= _FAR)
+    expected = f"relative difference to central differences at most {_SLOPES:g}"
+    yield _check(f"Jacobian of the {name}", expected, f"{slopes:.1e}", slopes <= _SLOPES)
+    expected = f"readings without noise: within {millimetres(_FOUND):g} mm of the truth at other poses"
+    yield _check(f"recovery of the {name}", expected, f"{millimetres(off):.1e} mm", off <= _FOUND)
 
 
 def draw_robot(robot: Robot, seed: int, part: float = 1.0) -> Robot:

@@ -173,7 +173,7 @@ def _literal(value: Any) -> str:
         return value
     if isinstance(value, (int, np.integer, np.bool_)):
         return str(int(value))
-    return _number(value) if np.ndim(value) == 0 else f"{{{', '.join(map(_literal, value))}}}"
+    return _number(value) if isinstance(value, float) else f"{{{', '.join(map(_literal, value))}}}"
 
 
 def _array(declared: str, values: Iterable[float]) -> str:

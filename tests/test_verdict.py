@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -298,7 +299,8 @@ def test_the_score_for_rounding_is_that_of_whole_matrices(arm, truth):
 def test_a_scale_that_nothing_shows_is_named(tmp_path, prior_arm):
     free = calib.fit(prior_arm, noisy(prior_arm, joints(80), SIGMA, 1), sigma=SIGMA)
     assert any(
-        text.startswith("a scale error") and "nothing of known length was measured" in text for text in free.verdict.not_covered
+        text.startswith("a scale error") and "nothing of known length was measured" in text
+        for text in free.verdict.not_covered
     )
     yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
     robot = calib.load(write_six_axis(tmp_path, yaml))
@@ -393,3 +395,18 @@ def test_what_is_left_uncertain_if_some_were_known_is_the_inverse_of_their_infor
     assert np.all(result[known] == 0)
     undetermined = np.diag([2.0, 0.0, 3.0])  # one that nothing moves
     np.testing.assert_array_equal(_covariance_given(undetermined, np.array([False, True, False])), undetermined)
+
+
+def test_values_a_turn_beyond_the_limits_need_a_look_even_where_the_joint_moves_no_target(tmp_path):
+    """Degrees read as radians of a UR10's last joint passed, since its reflector sat near that joint's axis."""
+    for name in ("arm.urdf", "arm.yaml"):
+        text = (Path(__file__).parents[1] / "docs" / "examples" / name).read_text()
+        (tmp_path / name).write_text(text.replace("20 mm, 0 mm, 50 mm", "50 mm, 0 mm, 0 mm"))
+    robot = calib.load(tmp_path / "arm.yaml")
+    q = np.random.default_rng(1).uniform(-1.2, 1.2, (50, 6))
+    points = robot.positions(q) + 3e-5 * np.random.default_rng(2).standard_normal((50, 1, 3))
+    for factor, grade in ((1.0, "PASS"), (np.degrees(1.0), "CHECK")):
+        values = q * [1, 1, 1, 1, 1, factor]
+        verdict = calib.fit(robot, calib.as_measurements(robot, values, points)).verdict
+        assert verdict.grade == grade
+        assert (grade == "CHECK") == any("beyond the URDF's limits of joint_6" in r.text for r in verdict.reasons)

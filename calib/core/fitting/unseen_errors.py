@@ -128,7 +128,8 @@ def left_out_ratio(fit: Fit) -> float:
     moved, decided = _prediction_shifts(rows)
     kept = ~np.isin(rows.layout.pose_of_row, np.flatnonzero(decided > _DECIDES))
     r = rows.residuals[kept]
-    ratio = float(np.sqrt(max(r @ (r + moved[kept]) / max(len(r), 1) * freedom / square, 1.0)))
+    more = float(r @ (r + moved[kept])) / max(len(r), 1) * freedom / square
+    ratio = math.sqrt(max(more, 1.0))
     return ratio if chi_square(ratio, len(r)).p_larger < HARDLY else 1.0
 
 

@@ -412,7 +412,7 @@ def test_notes_say_what_was_used_and_why_others_may_differ(commands):
     assert "free in only one" not in texts["first and again"]
     assert "on readings that it did not use" in texts["first and held"]
     assert "on poses left out in turn" in texts["first and again"]
-    assert "left out in turn" not in texts["first and longer"]
+    assert "on the readings that it used" not in texts["first and longer"]
     for name, (one, other) in {"first and again": ("first", "again"), "placed and there": ("placed", "there")}.items():
         grades = [commands.results[0][each].verdict.grade for each in (one, other)]
         assert ("a verdict is CHECK" in texts[name]) == ("CHECK" in grades)

@@ -122,12 +122,14 @@ def left_out_ratio(fit: Fit) -> float:
     is r.r of all over the degrees of freedom. It is more if sizes of terms were chosen to suit the readings.
     """
     rows, freedom = fit.weighted_rows, fit.statistics.freedom
+    square = float(np.sum(rows.residuals**2))
+    if fit.computed or not (freedom > 0 and square > 0):
+        return 1.0
     moved, decided = _prediction_shifts(rows)
     kept = ~np.isin(rows.layout.pose_of_row, np.flatnonzero(decided > _DECIDES))
-    r, square = rows.residuals[kept], float(np.sum(rows.residuals**2))
-    if fit.computed or not (len(r) and freedom > 0 and square > 0):
-        return 1.0
-    ratio = float(np.sqrt(max(r @ (r + moved[kept]) / len(r) * freedom / square, 1.0)))
+    r = rows.residuals[kept]
+    more = float(r @ (r + moved[kept])) / max(len(r), 1) * freedom / square
+    ratio = math.sqrt(max(more, 1.0))
     return ratio if chi_square(ratio, len(r)).p_larger < HARDLY else 1.0
 
 

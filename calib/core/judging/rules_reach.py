@@ -131,10 +131,12 @@ def check_joint_limits(fit: Fit) -> Iterator[Reason]:
     beyond = np.flatnonzero(np.max(excess, axis=1) > BEYOND_LIMIT)
     if len(beyond):
         joints = [robot.joint_names[j] for j in np.flatnonzero(np.max(excess, axis=0) > BEYOND_LIMIT)]
+        impossible = excess > np.maximum((upper - lower) / robot.mechanism.joint_scale, 2.0 * np.pi)  # no wrong limit
         yield Code.BEYOND_JOINT_LIMITS.says(
             f"{count_noun(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of {joints_named(*joints)}:"
             f" {listing([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
-            " limits"
+            " limits",
+            counted=not np.any(impossible),
         )
 
 

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -380,3 +381,18 @@ def test_what_is_left_uncertain_if_some_were_known_is_the_inverse_of_their_infor
     assert np.all(result[known] == 0)
     undetermined = np.diag([2.0, 0.0, 3.0])  # one that nothing moves
     np.testing.assert_array_equal(_covariance_given(undetermined, np.array([False, True, False])), undetermined)
+
+
+def test_values_a_turn_beyond_the_limits_need_a_look_even_where_the_joint_moves_no_target(tmp_path):
+    """Degrees read as radians of a UR10's last joint passed, since its reflector sat near that joint's axis."""
+    for name in ("arm.urdf", "arm.yaml"):
+        text = (Path(__file__).parents[1] / "docs" / "examples" / name).read_text()
+        (tmp_path / name).write_text(text.replace("20 mm, 0 mm, 50 mm", "50 mm, 0 mm, 0 mm"))
+    robot = calib.load(tmp_path / "arm.yaml")
+    q = np.random.default_rng(1).uniform(-1.2, 1.2, (50, 6))
+    points = robot.positions(q) + 3e-5 * np.random.default_rng(2).standard_normal((50, 1, 3))
+    for factor, grade in ((1.0, "PASS"), (np.degrees(1.0), "CHECK")):
+        values = q * [1, 1, 1, 1, 1, factor]
+        verdict = calib.fit(robot, calib.as_measurements(robot, values, points)).verdict
+        assert verdict.grade == grade
+        assert (grade == "CHECK") == any("beyond the URDF's limits of joint_6" in r.text for r in verdict.reasons)

@@ -200,7 +200,8 @@ def test_a_change_that_is_visible_is_seen_in_nine_of_ten(arm):
 def test_a_result_folder_promises_what_its_fit_did(arm, folder):
     robot, _, fit = arm
     read, own = load_result(folder, robot).promise, Promise.from_calibration(fit)
-    assert np.allclose(read.covariance, own.covariance, rtol=1e-12)
+    assert np.allclose(read.uncertainty.covariance, own.uncertainty.covariance, rtol=1e-12)
+    assert read.uncertainty.joint_error == own.uncertainty.joint_error > 0
     assert np.allclose(read.robot.values, own.robot.values, rtol=0, atol=1e-12)
     assert read.freedom == pytest.approx(own.freedom)
     assert read.sigma.keys() == own.sigma.keys()

@@ -91,7 +91,7 @@ def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", metavar="FOLDER", type=Path)
-    parser.add_argument("--draws", type=int, default=4, help="pairs of halves; five times as many without terms")
+    parser.add_argument("--draws", type=int, default=5, help="pairs of halves; five times as many without terms")
     parser.add_argument("--only", default="", metavar="WORDS", help="rows that contain them")
     parser.add_argument("--page", action="store_true", help="write the table into docs/uncertainty.md")
     options = parser.parse_args()

@@ -5,9 +5,9 @@
         move_to(progress.next_pose.joints)
 
 The goal is a root mean square position error over the candidates. It holds with 95 % if the upper ends of two 95 %
-intervals are below it: of the error predicted by the covariance of the fit, and of the errors at the last poses, each
-predicted before it was fitted (`calib.planning.progress`). The second contains the noise of readings, so a goal below
-that noise never holds.
+intervals are below it: of the error that the fit predicts (`Fit.uncertainty`), and of the errors at the last poses,
+each predicted before it was fitted (`calib.planning.progress`). The second contains the noise of readings, so a goal
+below that noise never holds.
 
 Readings of distances or angles count by the position errors that they show.
 """
@@ -37,11 +37,10 @@ from calib.core.data.measurement_files import read_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.settings import Settings
-from calib.core.robots.jacobian import linearise
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
-from calib.core.rows.candidates import configurations_at, require_free
+from calib.core.rows.candidates import require_free
 from calib.core.rows.free_poses import free_poses
 from calib.core.rows.prediction import RootMeanSquare, predicted_rms
 from calib.planning.next_pose import NextPose, next_pose
@@ -168,12 +167,14 @@ class Watch:
         self._n_reached = len(reached)
         if not len(reached):
             return UNKNOWN
-        linear = linearise(fit.robot, configurations_at(fit.robot, self.candidates.joints, closed, columns, reached))
-        uncertainty = fit.statistics
+        known, poses = fit.uncertainty, self.candidates
+        near, conditions = closed.passive[reached], poses.conditions.select(reached)
+        linear = known.linearise(fit.robot, poses.joints[reached], conditions, near, turns=False)
         return predicted_rms(
-            linear.jacobian[:, fit.robot.reported_targets][..., fit.unknowns.index],
-            uncertainty.covariance,
-            uncertainty.coverage_factor,
+            linear.jacobian[:, fit.robot.reported_targets],
+            known.covariance_of(fit.robot),
+            known.coverage_factor,
+            known.lasting(fit.robot),
         )
 
     def _next(self, data: Measurements | None) -> NextPose | None:

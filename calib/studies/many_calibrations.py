@@ -13,7 +13,7 @@ loop opens after the step, a draw starts at the minimum of the first.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,32 +26,10 @@ from calib.core.fitting.problem import Problem
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import convergence_at, solve_from, uncertainty_at
 from calib.core.instruments.kind import View
-from calib.core.numerics.statistics import Statistics
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import views_of_instruments
 from calib.core.rows.whitening import Whitening
 from calib.studies.study_data import DrawnData
-
-
-@dataclass(frozen=True, eq=False)
-class DrawEstimate:
-    """Estimate of one draw.
-
-    Attributes:
-        values: Values of the free parameters, (n_free,) [m or rad].
-        statistics: Their uncertainty.
-        sigma: Estimated noise of each group of rows, (n_groups,) [SI].
-        chi_square: Sum of squares of the residuals in units of the stated noise, if all of it is stated.
-        names_outliers: Whether some reading is further off than noise explains.
-        open: Reason why the fit did not converge; empty if it did.
-    """
-
-    values: FloatArray
-    statistics: Statistics
-    sigma: FloatArray
-    chi_square: float
-    names_outliers: bool
-    open: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +54,7 @@ class RepeatedCalibration(ReadOnlyArrays):
             self.first.robot, self.first.configurations, self.first.identification.data.readings
         )
 
-    def estimate(self, drawn: DrawnData) -> DrawEstimate:
+    def fit(self, drawn: DrawnData) -> Fit:
         """Calibrate from readings of the same visits, or of others.
 
         Raises:
@@ -84,16 +62,16 @@ class RepeatedCalibration(ReadOnlyArrays):
         """
         first, data = self.first, drawn.data
         if not np.array_equal(data.joints, first.identification.data.joints):
-            return self._estimate_from(
+            return self._fit_from(
                 Problem.from_data(first.nominal, data, self.settings.sigma, drawn.passive), first.robot
             )
         problem = self.problem.with_readings(data, first.configurations.passive)
         if _same_looks(data, first.identification.data):
             try:
-                return self._estimate_from(problem, self._one_step(data, problem.whitening))
+                return self._fit_from(problem, self._one_step(data, problem.whitening))
             except ComputationError:
                 pass
-        return self._estimate_from(problem, first.robot)
+        return self._fit_from(problem, first.robot)
 
     def _one_step(self, data: Measurements, whitening: Whitening) -> Robot:
         """The robot one step from the first minimum, by its linear model and other readings."""
@@ -107,21 +85,24 @@ class RepeatedCalibration(ReadOnlyArrays):
         step = rows.step(whitening.whiten(residuals, first.scales))
         return first.unknowns.robot_at(robot, rows.deviations + step)
 
-    def _estimate_from(self, problem: Problem, start: Robot) -> DrawEstimate:
-        solved = solve_from(problem, problem.evaluate(start), self.settings)
-        rows, scales, statistics = uncertainty_at(solved, self.first.statistics.beyond_linear)
-        weights = np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights
-        typical = [group.typical for group in rows.layout.groups]
-        sigma = statistics.factors.values * scales * typical
-        convergence = convergence_at(solved, rows, statistics.std)
-        test = rows.studentise(rows.with_weights(weights).posterior_information.root, weights, statistics.freedom)
-        return DrawEstimate(
-            solved.evaluation.robot.values[self.first.unknowns.index],
-            statistics,
-            sigma,
-            float(np.sum(statistics.factors.freedom * (sigma / typical) ** 2)),
-            len(test.outliers) > 0,
-            "" if convergence.converged else convergence.message,
+    def _fit_from(self, problem: Problem, start: Robot) -> Fit:
+        solved, first = solve_from(problem, problem.evaluate(start), self.settings), self.first
+        final = solved.evaluation
+        rows, scales, statistics = uncertainty_at(solved, first.statistics.beyond_linear)
+        closed = final.configurations
+        return replace(
+            first,
+            robot=final.robot,
+            identification=replace(
+                first.identification, data=problem.data, after=final.residuals, passive=closed.passive
+            ),
+            configurations=closed,
+            statistics=statistics,
+            rows=rows,
+            whitening=problem.whitening,
+            scales=scales,
+            convergence=convergence_at(solved, rows, statistics.std),
+            weights=np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights,
         )
 
 

@@ -41,14 +41,13 @@ from calib.core.data.in_memory import PosesLike
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.settings import Settings
+from calib.core.judging.findings import outliers
 from calib.core.numerics.losses import find_loss
 from calib.core.robots.acceleration import compilation_requested, compile_kinematics, pays
 from calib.core.robots.configurations import joint_vector
-from calib.core.robots.jacobian import linearise
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
-from calib.core.rows.prediction import propagate_covariance
-from calib.studies.many_calibrations import DrawEstimate, RepeatedCalibration
+from calib.studies.many_calibrations import RepeatedCalibration
 from calib.studies.study_data import Noise, ResampledDraws, SimulatedDraws, simulated_draws
 from calib.studies.study_result import Draws, Study
 
@@ -204,41 +203,39 @@ def _chunk(setting: _Setting, numbers: range) -> tuple[list[Draws], list[str]]:
         for number in numbers:
             try:
                 drawn = setting.source.draw(_seed_of_draw(setting.seed, number))
-                estimate = setting.repeated.estimate(drawn)
+                fit = setting.repeated.fit(drawn)
             except CalibrationError as error:
                 failures.append(str(error))
                 continue
-            if estimate.open:
-                failures.append(estimate.open)
+            if fit.converged:
+                draws.append(_draw(setting, drawn.truth, fit))
             else:
-                draws.append(_draw(setting, drawn.truth, estimate))
+                failures.append(fit.message)
     return [Draws.join(draws)] if draws else [], failures
 
 
-def _draw(setting: _Setting, truth: Robot, estimate: DrawEstimate) -> Draws:
+def _draw(setting: _Setting, truth: Robot, fit: Fit) -> Draws:
     """The row of a draw."""
-    first, known = setting.first, estimate.statistics
+    known, sigma = fit.interval_statistics, np.array([estimate.sigma for estimate in fit.noise])
     true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
-    errors = half_width = np.zeros((0, len(truth.target_names), 3))
+    none: FloatArray = np.zeros((0, len(truth.target_names), 3))
+    errors = half_width = none
     if len(setting.prediction_joints):
-        values = first.robot.values.copy()
-        values[first.unknowns.index] = estimate.values
-        robot = first.robot.with_parameters(values)
-        at = linearise(robot, robot.assemble(setting.prediction_joints, setting.prediction_passive))
-        spread = propagate_covariance(at.jacobian[..., first.unknowns.index], known.covariance)
-        half_width = known.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
-        errors = at.positions - truth.positions(setting.prediction_joints, seed=setting.prediction_passive)
+        q, near = setting.prediction_joints, setting.prediction_passive
+        predicted = fit.uncertainty.predict(fit.robot, q, near=near, turns=False)
+        half_width = predicted.coverage_factor * predicted.std
+        errors = predicted.positions - truth.positions(q, seed=near)
     # repeats of resampled poses scatter less than noise does
-    has_chi_square = first.chi_square is not None and isinstance(setting.source, SimulatedDraws)
+    has_chi_square = fit.chi_square is not None and isinstance(setting.source, SimulatedDraws)
     rows = (
-        np.array([true.get(name, np.nan) for name in first.free_names]),
-        estimate.values,
+        np.array([true.get(name, np.nan) for name in fit.free_names]),
+        fit.robot.values[fit.unknowns.index],
         known.std,
         known.half_width,
-        estimate.sigma,
-        estimate.chi_square if has_chi_square else np.nan,
+        sigma,
+        fit.chi_square.value if has_chi_square else np.nan,
         known.freedom,
-        float(estimate.names_outliers),
+        float(len(outliers(fit)) > 0),
         errors,
         half_width,
     )

@@ -31,14 +31,19 @@ def candidates(robot):
     return calib.sample(robot, 20, seed=2)
 
 
-def test_a_predicted_error_is_the_mean_over_positions_and_its_interval_that_of_random_parameters():
+@pytest.mark.parametrize("lasts", [4, 2])
+def test_a_predicted_error_is_the_mean_over_positions_and_its_interval_that_of_random_parameters(lasts):
     rng = np.random.default_rng(0)
     jacobian, root = rng.standard_normal((6, 2, 3, 4)), rng.standard_normal((4, 4))
     covariance = root @ root.T
-    prediction = predicted_rms(jacobian, covariance, 1.959964)
+    lasting = np.arange(4) < lasts
+    covariance *= lasting[:, None] == lasting
+    prediction = predicted_rms(jacobian, covariance, 1.959964, lasting)
     mean = np.mean([np.trace(B @ covariance @ B.T) for B in jacobian.reshape(12, 3, 4)])
     assert prediction.value == pytest.approx(np.sqrt(mean))
-    errors = jacobian @ (root @ rng.standard_normal((4, 4000)))
+    drawn = np.linalg.cholesky(covariance) @ rng.standard_normal((6, 1, 4, 4000))
+    drawn[:, :, lasting] = drawn[:1, :, lasting]  # the same at every pose
+    errors = jacobian @ drawn
     rms = np.sqrt(np.mean(np.sum(errors**2, axis=2), axis=(0, 1)))
     inside = np.mean((rms > prediction.low95) & (rms < prediction.high95))
     assert 0.93 < inside < 0.98  # two moments are matched, not the distribution

@@ -13,6 +13,7 @@ import pytest
 import calib
 from calib.core.base.workers import Workers, results_in_order
 from calib.core.fitting.settings import Settings
+from calib.core.judging.findings import outliers
 from calib.studies.many_calibrations import RepeatedCalibration
 from calib.studies.study_data import DrawnData, ResampledDraws
 from tests.core.base.test_workers import Shared
@@ -86,16 +87,16 @@ def test_a_draw_gives_the_numbers_of_a_separate_fit(case, loss, request):
     truth = bent(robot)
     data = [calib.simulate(truth, poses, SIGMA, seed) for seed in (1, 2)]
     settings = Settings(sigma=SIGMA, loss=loss)
-    result = RepeatedCalibration(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings).estimate(
+    result = RepeatedCalibration(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings).fit(
         DrawnData(truth, data[1])
     )
     alone = calib.fit(robot, data[1], sigma=SIGMA, loss=loss)
-    off = (result.values - alone.robot.values[alone.free]) / alone.statistics.std
+    off = (result.robot.values[result.free] - alone.robot.values[alone.free]) / alone.statistics.std
     # both stop where the next step is below 1e-4 standard deviations; robust weights stand to a thousandth
     assert np.max(np.abs(off)) < (1e-4 if loss == "none" else 1e-2)
     assert result.statistics.std == pytest.approx(alone.statistics.std, rel=1e-5 if loss == "none" else 1e-2)
-    assert not result.open
-    assert result.names_outliers == bool(alone.outliers)
+    assert result.converged
+    assert bool(outliers(result)) == bool(alone.outliers)
 
 
 TWO_INSTRUMENTS = """\
@@ -133,20 +134,21 @@ def test_draws_give_all_the_numbers_of_separate_fits(instruments, tmp_path):
         off[:4] = off[27:31] = off[31:] = 3e-4 * np.random.default_rng(0).standard_normal((4, 3))
     data.append(with_errors(data[0], name, off))
     for each in data:
-        made = repeated.estimate(DrawnData(robot, each))
+        made = repeated.fit(DrawnData(robot, each))
         alone = calib.fit(robot, each, sigma=sigma)
         statistics = alone.statistics
-        assert np.max(np.abs(made.values - alone.robot.values[alone.free]) / statistics.std) < 1e-4
+        assert np.max(np.abs(made.robot.values[made.free] - alone.robot.values[alone.free]) / statistics.std) < 1e-4
         assert made.statistics.std == pytest.approx(statistics.std, rel=1e-5)
         assert made.statistics.covariance == pytest.approx(
             statistics.covariance, rel=1e-4, abs=1e-5 * np.max(made.statistics.std) ** 2
         )
         assert made.statistics.half_width == pytest.approx(statistics.half_width, rel=1e-4)
         assert made.statistics.freedom == pytest.approx(statistics.freedom, rel=1e-9)
-        assert made.sigma == pytest.approx([estimate.sigma for estimate in alone.noise], rel=1e-7)
-        assert made.chi_square == pytest.approx(alone.chi_square.value, rel=1e-7)
-        assert made.names_outliers == bool(alone.outliers)
-    assert made.names_outliers == several
+        found = [[estimate.sigma for estimate in fit.noise] for fit in (made, alone)]
+        assert found[0] == pytest.approx(found[1], rel=1e-7)
+        assert made.chi_square.value == pytest.approx(alone.chi_square.value, rel=1e-7)
+        assert bool(outliers(made)) == bool(alone.outliers)
+    assert bool(outliers(made)) == several
     assert (statistics.shared_scatter is None) == several
 
 
@@ -161,9 +163,11 @@ def test_draws_of_which_more_is_to_be_found_give_the_numbers_of_fits(five_bar):
     missing = replace(quiet, readings={"pen": replace(pen, **fewer)})
     repeated = RepeatedCalibration(calib.fit(robot, quiet, sigma=SIGMA), Settings(sigma=SIGMA))
     for each in (quiet, loud, missing):
-        made = repeated.estimate(DrawnData(robot, each))
+        made = repeated.fit(DrawnData(robot, each))
         alone = calib.fit(robot, each, sigma=SIGMA)
-        assert np.max(np.abs(made.values - alone.robot.values[alone.free]) / alone.statistics.std) < 1e-2
+        assert (
+            np.max(np.abs(made.robot.values[made.free] - alone.robot.values[alone.free]) / alone.statistics.std) < 1e-2
+        )
         assert made.statistics.std == pytest.approx(alone.statistics.std, rel=1e-2)  # noise is found to one percent
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.core.base.arrays import FloatArray
 from calib.core.base.contributions import Contribution, Contributions, Uncertainty, contributions_to
 from calib.core.base.other_words import HintedObject
 from calib.core.data.in_memory import PosesLike, as_poses
@@ -20,7 +21,8 @@ from calib.core.fitting.settings import RequestedOptions
 from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.fitting.starts import Starts
 from calib.core.fitting.terms.candidate_terms import TermChoice
-from calib.core.fitting.unexplained import UnexplainedErrors, unexplained_errors
+from calib.core.fitting.unexplained import UnexplainedErrors, noise_beside, unexplained_errors
+from calib.core.numerics.statistics import Statistics
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.terms.term import Context
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UndecidedTerms
@@ -68,12 +70,17 @@ class Fit(SolvedFit, HintedObject):
     @cached_property
     def parameters(self) -> Estimates:
         """Estimates of the parameters by name: in the unit of each, and in m or rad as `..._si`."""
-        known = self.statistics.widen(self.interval_factor)
-        if self.undecided is not None:
-            known = known.with_more(np.sum(self.undecided.sensitivity_of(self.free_names) ** 2, axis=1))
-        by_name = estimates(self.nominal.parameters, self.robot.values, self.free, known)
+        by_name = estimates(self.nominal.parameters, self.robot.values, self.free, self.interval_statistics)
         later = {name: replace(by_name[name], status="placed") for name in self.placed_later}
         return Estimates({**by_name, **later}, self.contains(Uncertainty.INTERVAL))
+
+    @cached_property
+    def interval_statistics(self) -> Statistics:
+        """Uncertainty of the free parameters in their intervals: regions left out and undecided terms count, too."""
+        known = self.statistics.widen(self.interval_factor)
+        if self.undecided is None:
+            return known
+        return known.with_more(np.sum(self.undecided.sensitivity_of(self.free_names) ** 2, axis=1))
 
     @cached_property
     def covariance(self) -> Covariance:
@@ -174,7 +181,17 @@ class Fit(SolvedFit, HintedObject):
         """Errors that the residuals show in addition to noise."""
         if self.computed:
             return UnexplainedErrors()
-        return unexplained_errors(self, sized=self.terms is not None and self.terms.automatic)
+        return unexplained_errors(self, sized=self._is_sized)
+
+    @cached_property
+    def reading_noise(self) -> FloatArray:
+        """Noise of each group of rows beside errors of joints, (n_groups,) [SI]; `noise` contains these, too."""
+        return noise_beside(self, self.joint_error, sized=self._is_sized)
+
+    @property
+    def _is_sized(self) -> bool:
+        """Whether the sizes of all kinds of joint terms were found for the fit."""
+        return self.terms is not None and self.terms.automatic
 
     @property
     def joint_error(self) -> float:
@@ -187,8 +204,10 @@ class Fit(SolvedFit, HintedObject):
     @property
     def undecided(self) -> UndecidedTerms | None:
         """Joint terms that the data do not exclude, and that the robot lacks; None if there are none."""
-        if self.terms is not None and self.terms.automatic:
+        if self.terms is not None and self._is_sized:
             return self.terms.undecided
+        if all(group.stated for group in self.whitening.groups):
+            return None  # without the work of `unexplained`
         return self.unexplained.terms
 
     @cached_property

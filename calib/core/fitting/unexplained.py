@@ -24,6 +24,8 @@ these count instead.
 The part that rows cannot tell from noise counts as delta, because the noise of readings does not move the tool
 (`calib.core.numerics.size_search.scatter_given_noise`). With known noise that part is zero; where all joints move all
 readings alike, as in a gantry, it is most of the residuals.
+Delta is no larger than if it alone explained the residuals. A reading at a pose has the noise beside delta
+(`noise_beside`): the found noise contains both.
 Delta is no part of the covariance of parameters, which is found from the same residuals. Of very many poses, a part
 determines it.
 
@@ -41,12 +43,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.core.base.arrays import FloatArray
 from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.fitting.terms.candidate_terms import TELLS, CandidateTerm, candidates
 from calib.core.fitting.terms.kind_model import KindModel, with_kinds
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
-from calib.core.numerics.size_search import least_sizes, likeliest_sizes, scatter_given_noise
+from calib.core.numerics.size_search import least_sizes, likeliest_sizes, noise_given_scatter, scatter_given_noise
 from calib.core.rows.prediction import UndecidedTerms
 
 _SHORTEST = 0.3  # a component of usual size is negligible if its length is below this part of the fit's noise
@@ -71,6 +74,27 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
 
     `sized` says whether the sizes of all kinds of joint terms were found for it.
     """
+    model, kinds, at = _solved(fit, sized)
+    return UnexplainedErrors() if at is None else UnexplainedErrors(scatter_given_noise(at), _shown(model, kinds, at))
+
+
+@one_blas_thread
+def noise_beside(fit: SolvedFit, joint_error: float, *, sized: bool) -> FloatArray:
+    """Return the noise of each group of rows beside errors of joints of a size [rad], (n_groups,) [SI].
+
+    The residuals of a fit contain both. Arguments as in `unexplained_errors`.
+    """
+    found = np.array([noise.sigma for noise in fit.noise])
+    at = _solved(fit, sized)[2] if joint_error > 0.0 else None
+    if at is None:
+        return found
+    units = [1.0 if group.stated else scale for group, scale in zip(fit.whitening.groups, fit.scales, strict=True)]
+    typical = [group.typical for group in fit.whitening.groups]
+    return np.minimum(found, noise_given_scatter(at, joint_error) * units * np.array(typical))
+
+
+def _solved(fit: SolvedFit, sized: bool) -> tuple[KindModel, tuple[CandidateTerm, ...], SolvedModel | None]:
+    """The model of noise and errors of joints, the kinds in it, and its likeliest sizes."""
     groups = fit.whitening.groups
     stated = np.array([group.stated for group in groups])
     kinds = () if sized or np.all(stated) else _kinds_of_few_coefficients(fit)
@@ -78,8 +102,7 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
     read = model.informative_rows
     read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
     rows = model.rows(read, np.where(stated, 1.0, fit.scales), stated)
-    at = solve_beside_noise(MixedModel.from_rows(rows, _SHORTEST))
-    return UnexplainedErrors() if at is None else UnexplainedErrors(scatter_given_noise(at), _shown(model, kinds, at))
+    return model, kinds, solve_beside_noise(MixedModel.from_rows(rows, _SHORTEST))
 
 
 def solve_beside_noise(model: MixedModel) -> SolvedModel | None:

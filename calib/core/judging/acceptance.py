@@ -1,8 +1,11 @@
 """The verdict of new measurements on a calibrated robot: is it as accurate as expected, has it drifted, in which part?
 
-The promise. With r the whitened residuals of the new readings (prediction minus read), J their derivative by the scaled
-parameters u, C the covariance of u that the calibration left, and P the columns of base and targets, which are placed
-anew (the tracker was set up again, the reflector screwed on again):
+The promise is the uncertainty that `predict` gives (`calib.core.rows.prediction.ParameterUncertainty`), and noise. The
+new readings have residuals r (prediction minus read), whitened by the noise s^2 beside errors of joints and by these
+errors themselves: s^2 + d^2 H_k H_k^T at pose k, with H_k the derivative by the joints. J is their derivative by what
+is uncertain and lasts, u: scaled parameters, and coefficients of undecided joint terms. C is its covariance after the
+calibration, and P the columns of base and targets, which are placed anew (the tracker was set up again, the reflector
+screwed on again):
 
     r = J du + P dp + noise,      du ~ N(0, C),  dp anything,  noise ~ N(0, I)
 
@@ -30,8 +33,8 @@ explain them, the robot needs a new calibration. The level of either test is hal
 Power. With n poses a change d gives z the noncentrality |d| |B'|, so that the smallest change that is seen with a
 chance of 90 %, or the number of poses that a given change takes, are known before anything is measured.
 
-Unlike poses. The noise of a calibration contains mostly errors that its model leaves out. At poses drawn like the used
-ones they differ from pose to pose, as noise does. Elsewhere, or where poses crowd together
+Unlike poses. Noise and errors of joints are mostly what the model leaves out. At poses drawn like the used ones they
+differ from pose to pose, as noise does. Elsewhere, or where poses crowd together
 (`calib.core.data.pose_groups.are_drawn_alike`), they may be one common error, though no larger. Then the n rows read
 there count as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be as
 uncertain there as if only k of the N rows used had decided them: N / k times C. If the readings agree then, nothing
@@ -107,8 +110,8 @@ class Acceptance:
         errors: Prediction minus read, without the outliers, after placing unknown base and targets.
         expected_rms: Expected root mean square distance of measured from predicted positions [m]; NaN without
             positions.
-        calibration_rms: Part of `expected_rms` from the uncertainty of the calibration, without noise of the readings
-            [m].
+        calibration_rms: Part of `expected_rms` from the uncertainty of the calibration, errors of joints included,
+            without noise of the readings [m].
         limit: Distance that is exceeded in one of a thousand cases, if the robot is as calibrated [m].
         coverage_factor: Half the 95 % interval of a change, in standard deviations.
         has_unlike_poses: Whether the poses are unlike those of the calibration, and the tests allow for it. Then all

@@ -24,9 +24,9 @@ The rest splits into noise and unexplained errors only if the noise is known oth
 contain the robot's repeatability too), or as stated. Noise that was found from the residuals is the whole rest.
 
 Standard deviations come from the choice of poses (by the sum of each pose, since its repeats share errors). Those of
-causes also come from their parameters: s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own parameters) +
-J^T J_k d_k, with J_k projected if there are places. J^T is taken after calibration (t = 1). There, directions that the
-readings do not determine move no reading. So they do not count, however uncertain they are.
+causes also come from their parameters (`Fit.uncertainty`): s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own
+parameters) + J^T J_k d_k, with J_k projected if there are places. J^T is taken after calibration (t = 1). There,
+directions that the readings do not determine move no reading. So they do not count, however uncertain they are.
 
 When it fails. With few poses the split of the rest is uncertain. Parameters of a named parametrisation all count as
 geometry.
@@ -138,7 +138,8 @@ def error_budget(fit: Fit, causes_by_parameter: Sequence[str] | None = None) -> 
         left = float(np.sum(before) - np.sum(removed))
         removed = removed - left / max(width - float(np.sum(leverage)), 1.0) * leverage / n
     rest = before - np.sum(removed, axis=1)
-    spread = np.einsum("kf,fg,kg->k", gradient, fit.statistics.covariance, gradient) / n**2
+    n_free, known = len(unknowns), fit.uncertainty.covariance_of(fit.robot)
+    spread = np.einsum("kf,fg,kg->k", gradient, known[:n_free, :n_free], gradient) / n**2
     shares = [
         CauseShare(cause, float(np.mean(part)), float(np.hypot(_std(part, pose), np.sqrt(max(extra, 0.0)))))
         for cause, part, extra in zip(causes, removed.T, spread, strict=True)

@@ -23,14 +23,15 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import numbers_by_instrument
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.solving import place
-from calib.core.fitting.unseen_errors import left_out_ratio
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.identifiability import RANK_TOLERANCE, unit_columns
 from calib.core.numerics.losses import studentised
+from calib.core.numerics.mixed_rows import whiten_scatter
 from calib.core.numerics.prior import Prior
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed, observe
+from calib.core.rows.prediction import ParameterUncertainty
 from calib.core.rows.rows import Rows
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
@@ -49,9 +50,9 @@ class Promise:
 
     Attributes:
         robot: The calibrated robot.
-        covariance: Covariance of its free parameters, (n_free, n_free) [m, rad].
+        uncertainty: Its uncertainty.
         freedom: Degrees of freedom of the found noise.
-        sigma: Noise of one component by group and part of the instruments [SI].
+        sigma: Noise of one component beside errors of joints, by group and part of the instruments [SI].
         shared: Common scatter of the readings of a pose, over that of independent readings (`Scatter.ratio`).
         decided: Number of parameters that the readings decided.
         joints: Poses of the calibration, (n, n_actuated) [m or rad]; none where they are not stored.
@@ -59,7 +60,7 @@ class Promise:
     """
 
     robot: Robot
-    covariance: FloatArray
+    uncertainty: ParameterUncertainty
     freedom: float
     sigma: Mapping[tuple[str, str], float]
     shared: float
@@ -73,15 +74,13 @@ class Promise:
         if isinstance(calibrated, Promise):
             return calibrated
         if isinstance(calibrated, Fit):
-            sigma = {(noise.group.name, noise.group.part.name): noise.sigma for noise in calibrated.noise}
-            statistics = calibrated.statistics
+            groups, noise = calibrated.whitening.groups, calibrated.reading_noise.tolist()
+            sigma = {(group.name, group.part.name): own for group, own in zip(groups, noise, strict=True)}
+            statistics, known = calibrated.statistics, calibrated.uncertainty
             shared = 1.0 if statistics.shared_scatter is None else statistics.shared_scatter.ratio
-            data, covariance = calibrated.identification.data, calibrated.covariance.values
-            decided, names = statistics.effective_parameters, tuple(map(str, data.names))
-            promise = Promise(
-                calibrated.robot, covariance, statistics.freedom, sigma, shared, decided, data.joints, names
-            )
-            return promise.widen(left_out_ratio(calibrated))
+            data, decided = calibrated.identification.data, statistics.effective_parameters
+            names = tuple(map(str, data.names))
+            return Promise(calibrated.robot, known, statistics.freedom, sigma, shared, decided, data.joints, names)
         if isinstance(calibrated, HasPromise):
             return calibrated.promise
         raise InputError(
@@ -103,7 +102,8 @@ class Promise:
         decided = max(self.decided, 1.0)
         wider = max((self.freedom + self.decided) / decided, 1.0)
         together = max(self.shared, float(np.sqrt(1.0 + n_rows / decided)))
-        return replace(self, covariance=wider * self.covariance, shared=together)
+        known = replace(self.uncertainty, covariance=wider * self.uncertainty.covariance)
+        return replace(self, uncertainty=known, shared=together)
 
 
 @runtime_checkable
@@ -220,29 +220,39 @@ class System:
     def from_promise(promise: Promise, data: Measurements, same_setup: bool) -> System:
         """Set up the problem, or raise `DataError` if there are too few readings."""
         robot = promise.robot if same_setup else place(Problem.from_data(promise.robot, data)).robot
-        configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
-        observed = observe(robot, configurations, data.readings, joints=True)
-        whitening, unknowns = Whitening(robot, data), Unknowns.from_robot(robot)
+        known, whole = promise.uncertainty, promise.uncertainty.with_undecided_terms(robot)
+        configurations = whole.assemble(data.joints, labels=data.labels, context=data.conditions)
+        observed = observe(whole, configurations, data.readings, joints=True)
+        whitening, unknowns = Whitening(robot, data), Unknowns.from_robot(whole)
         scales = whitening.start({name: block.residuals for name, block in observed.items()})
         for g, group in enumerate(whitening.groups):
             if (group.name, group.part.name) in promise.sigma:
                 scales[g] = max(promise.sigma[group.name, group.part.name], 1e-30) / group.typical
-        rows = whitening.rows(observed, scales, unknowns, robot.values)
+        rows = whitening.rows(observed, scales, unknowns, whole.values)
         joints = whitening.joint_columns(observed, scales)
-        kept = np.ones(len(unknowns), dtype=bool) if same_setup else ~unknowns.placement
-        covariance = promise.covariance / np.outer(unknowns.scales, unknowns.scales)
-        values, vectors = linalg.eigh(covariance[np.ix_(kept, kept)])
+        levers = known.joint_error * robot.mechanism.joint_scale * joints
+        residuals, jacobian, joints = whiten_scatter(
+            levers, rows.layout.pose_of_row, rows.residuals, rows.jacobian, joints
+        )
+        placed = np.zeros(len(unknowns), dtype=bool) if same_setup else unknowns.placement
+        lasting = known.lasting(robot)
+        place_of = {name: k for k, name in enumerate(unknowns.names)}
+        index = np.array([place_of[name] for name in known.lasting_names(robot)], dtype=np.intp)
+        stays = ~placed[index]
+        index = index[stays]
+        covariance = known.covariance_of(robot)[np.ix_(lasting, lasting)][np.ix_(stays, stays)]
+        values, vectors = linalg.eigh(covariance / np.outer(unknowns.scales[index], unknowns.scales[index]))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        columns = np.hstack([rows.jacobian[:, kept] @ root, unit_columns(rows.jacobian[:, ~kept])[0]])
+        columns = np.hstack([jacobian[:, index] @ root, unit_columns(jacobian[:, placed])[0]])
         prior = Prior(np.arange(columns.shape[1]) < root.shape[1])
-        candidate_columns = _candidate_columns(robot, np.hstack([rows.jacobian, joints]), len(unknowns))
+        candidate_columns = _candidate_columns(robot, np.hstack([jacobian, joints]), len(unknowns))
         errors = {name: block.residuals for name, block in observed.items()}
         return System(
             promise,
-            replace(rows, jacobian=columns, prior=prior, deviations=np.zeros(columns.shape[1])),
+            replace(rows, residuals=residuals, jacobian=columns, prior=prior, deviations=np.zeros(columns.shape[1])),
             candidate_columns,
             ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations)),
-            _expected_distances(promise, robot, observed, kept, root * unknowns.scales[kept, None]),
+            _expected_distances(promise, whole, observed, index, placed, root * unknowns.scales[index, None]),
         ).require_readings(data)
 
     def numbers_without(self, readings: Sequence[int]) -> dict[str, IntArray]:
@@ -388,18 +398,25 @@ def _noncentrality(level: float, freedom: float) -> float:
 
 
 def _expected_distances(
-    promise: Promise, robot: Robot, observed: Mapping[str, Observed], kept: BoolArray, root: FloatArray
+    promise: Promise,
+    robot: Robot,
+    observed: Mapping[str, Observed],
+    uncertain: IntArray,
+    placed: BoolArray,
+    root: FloatArray,
 ) -> ExpectedDistances:
     """Return the expectation of the distances between measured and predicted positions.
 
     Args:
-        promise: Noise and shared errors.
-        robot: The robot, placed by the readings.
-        observed: Observed readings, with derivatives by parameters.
-        kept: Mask of the free parameters that are not placed anew, (n_free,).
-        root: A root of their covariance, (n_kept, k) [m or rad].
+        promise: Noise, errors of joints, and shared errors.
+        robot: The robot with undecided terms, placed by the readings.
+        observed: Observed readings, with derivatives by parameters and joints.
+        uncertain: Numbers of the uncertain parameters among the free ones, (n,).
+        placed: Mask of the free parameters that are placed anew, (n_free,).
+        root: A root of the covariance of the uncertain ones, (n, k) [m or rad].
     """
-    free, slopes, square, n = np.flatnonzero(robot.is_free), [], 0.0, 0
+    free, slopes, square, by_joints, n = np.flatnonzero(robot.is_free), [], 0.0, 0.0, 0
+    scatter = promise.uncertainty.joint_error * robot.mechanism.joint_scale
     for name, derivatives in observed.items():
         instrument = robot.instrument(name)
         for index, part in enumerate(instrument.parts):
@@ -410,17 +427,19 @@ def _expected_distances(
             n += n_readings
             slopes.append(derivatives.derivative_by(free)[:, rows].reshape(-1, len(free)))
             square += len(rows) * n_readings * promise.sigma.get((instrument.group, part.name), np.nan) ** 2
+            by_joints += float(np.sum((derivatives.joint_derivative[:, rows] * scatter) ** 2))
     if not n:
         return ExpectedDistances(float("nan"), float("nan"), float("nan"))
     slope = np.concatenate(slopes)
-    placed = linalg.svd(unit_columns(slope[:, ~kept])[0], full_matrices=False)
-    basis = placed[0][:, placed[1] > RANK_TOLERANCE]
-    spread = slope[:, kept] @ root
+    places = linalg.svd(unit_columns(slope[:, placed])[0], full_matrices=False)
+    basis = places[0][:, places[1] > RANK_TOLERANCE]
+    spread = slope[:, uncertain] @ root
     spread -= basis @ (basis.T @ spread)
     left = len(slope) - basis.shape[1]
-    square *= left / len(slope)  # without the part that placing base and targets takes up
+    by_joints, square = (left / len(slope) * part for part in (by_joints, square + by_joints))  # less what places take
     along = spread.T @ spread
     left_open, total = float(np.trace(along)), square + float(np.trace(along))
     # variances of squares: of noise in `left` directions, of what is left open, and of both in one direction
     variance = square * (promise.shared**2 * square + 2.0 * left_open) / max(left, 1) + float(np.sum(along**2))
-    return ExpectedDistances(float(np.sqrt(total / n)), float(np.sqrt(left_open / n)), total**2 / max(variance, 1e-300))
+    expected, by_calibration = np.sqrt(np.array([total, left_open + by_joints]) / n).tolist()
+    return ExpectedDistances(expected, by_calibration, total**2 / max(variance, 1e-300))

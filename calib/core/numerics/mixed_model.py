@@ -289,6 +289,17 @@ class SolvedModel(ReadOnlyArrays):
         seen = scipy.linalg.solve_triangular(self.upper, z.T @ moved, trans=1, check_finite=False)
         return 0.5 * (moved.T @ moved - seen.T @ seen)
 
+    @property
+    def scatter_of_residuals(self) -> float:
+        """Scatter that alone makes rows as large as the residuals are, in the group where it is least."""
+        group, freedom = self.model.rows.group, self.model.rows.stands_for - self._leverage
+        squares, left, spread = (
+            np.bincount(group, own) for own in (self.variance * self.whitened_residuals**2, freedom, self.model.spread)
+        )
+        moved = spread > 0.0
+        times = np.bincount(group)[moved] / np.maximum(left[moved], 0.5)
+        return float(np.sqrt(np.min(times * squares[moved] / spread[moved], initial=np.inf)))
+
     def freedom(self, families: IntArray) -> float:
         """Return how many coefficients of some families (k,) the rows decide."""
         return float(np.sum((1.0 - self._unseen_part)[np.isin(self.model.family[self.seen], families)]))

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
+from calib.core.numerics.clusters import blocks_of_equal_length
 from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior import Prior
 
@@ -159,6 +160,25 @@ class SeenColumns(ReadOnlyArrays):
     def coefficients(self, combined: FloatArray) -> FloatArray:
         """Return u = B w, (n,), from w (n_new,)."""
         return coefficients_of(self.parts, combined)
+
+
+def whiten_scatter(levers: FloatArray, pose: IntArray, *arrays: FloatArray) -> list[FloatArray]:
+    """Return rows whose noise is white, from rows with the noise N(0, I + H_k H_k^T) at each pose k.
+
+    Args:
+        levers: H: derivatives by the variables that scatter, times their standard deviations, (n_rows, n_scattering).
+        pose: Pose of each row, (n_rows,).
+        arrays: Any rows, (n_rows, ...).
+    """
+    result = [array.copy() for array in arrays]
+    for places in blocks_of_equal_length(pose) if np.any(levers) else ():
+        own = levers[places]
+        values, turn = linalg.eigh(np.matmul(own, own.swapaxes(1, 2)))
+        root = np.matmul(turn / np.sqrt(1.0 + np.maximum(values, 0.0))[:, None], turn.swapaxes(1, 2))
+        for array in result:
+            flat = array[places].reshape(*places.shape, -1)
+            array[places] = np.matmul(root, flat).reshape(*places.shape, *array.shape[1:])
+    return result
 
 
 def _principal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:

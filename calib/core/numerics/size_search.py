@@ -130,6 +130,9 @@ def find_sizes(
 def scatter_given_noise(at: SolvedModel) -> float:
     """Return the scatter d, enlarged by the part that rows cannot tell from noise; 0 where they show neither.
 
+    It is no larger than if the residuals were nothing but scatter: noise of a shape of its own, such as that of points
+    that a camera reads together, can make the likeliest d several times as large.
+
     By the rows, d^2 is normal about its likeliest value, with a standard deviation t, and not negative; with known
     noise the deviation would be t_0. With p and F the normal density and distribution, its mean is d^2 + e(t), with
     e(t) = t p(d^2 / t) / F(d^2 / t), and
@@ -147,7 +150,22 @@ def scatter_given_noise(at: SolvedModel) -> float:
     falling = np.maximum(-covariance[noise, -1] / covariance[-1, -1], _NOTHING)
     confused = min(confused, float(np.min(np.exp(2.0 * at.logs[noise]) / falling, initial=np.inf)))
     none = at.logs[-1] <= bounds.least[-1] + _AT_BOUND
-    return float(np.sqrt((0.0 if none else square) + max(confused, 0.0)))
+    return min(float(np.sqrt((0.0 if none else square) + max(confused, 0.0))), at.scatter_of_residuals)
+
+
+def noise_given_scatter(at: SolvedModel, scatter: float) -> FloatArray:
+    """Return the likeliest noise of all groups, stated or not, given sizes of families and a scatter, (n_groups,)."""
+    noise = at.model.sizes(at.logs)[1]
+    every = replace(at.model.rows, has_stated_noise=np.zeros(len(noise), dtype=bool))
+    model, n = replace(at.model, rows=every), at.model.n_families
+    logs, bounds = np.concatenate([at.logs[:n], np.log(noise), [np.log(scatter)]]), _Bounds.from_model(model)
+    for _ in range(_ROUNDS):
+        solved = model.solve(logs, at.seen)
+        step = np.clip(-solved.gradient[n:-1] / np.diag(solved.information)[n:-1], -_STEP, _STEP)
+        logs[n:-1] = np.clip(logs[n:-1] + step, bounds.least[n:-1], bounds.most[n:-1])
+        if np.max(np.abs(step)) < _CONVERGED:
+            break
+    return np.asarray(np.exp(logs[n:-1]))
 
 
 def _mean_beyond(value: float, variance: float) -> float:

@@ -234,4 +234,4 @@ class EarlierResult(LoadedResult):
         shared = 1.0 if content["shared"] is None else float(content["shared"])
         numbers = (float(content["degrees_of_freedom"]), sigma, shared, float(content["effective_parameters"]))
         names = np.array(self._residuals.text("pose"))[np.array(self._residuals.text("set")) == "identification"]
-        return Promise(self.robot, self.covariance.values, *numbers, self.joints, tuple(names.tolist()))
+        return Promise(self.robot, self.uncertainty, *numbers, self.joints, tuple(names.tolist()))

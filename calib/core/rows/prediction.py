@@ -12,6 +12,9 @@ independent error of each joint at each pose, as large as residuals show (`calib
 
 The part of these errors that residuals cannot tell from noise counts, too. The robot's repeatability is not included.
 
+Every uncertainty of positions comes from here (`ParameterUncertainty`): of `predict`, `compensate`, `solve`, `watch`,
+`study` and `verify`.
+
 Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
 (`UndecidedTerms`). They join the free parameters in C and in B, with their correlations.
 
@@ -148,22 +151,36 @@ class RootMeanSquare:
     high95: float
 
 
-def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor: float) -> RootMeanSquare:
+def predicted_rms(
+    jacobian: FloatArray, covariance: FloatArray, coverage_factor: float, lasting: BoolArray
+) -> RootMeanSquare:
     """Return the root mean square distance between true and predicted positions over poses.
 
-    The error d of the parameters makes the mean square d^T W d, W the mean of B^T B over positions: a sum of squares
-    whose weights are the eigenvalues of C W, as in `length95`.
+    The sum of the squares of all positions is a sum of independent squares, as in `length95`; its weights are the
+    eigenvalues of the covariance S of all positions. Errors that last are the same at every pose, the others differ.
 
     Args:
-        jacobian: B of each position, (n_poses, n_targets, 3, n_free).
-        covariance: C, (n_free, n_free).
+        jacobian: B of each position, (n_poses, n_targets, 3, n_uncertain).
+        covariance: C of the uncertain quantities; those that last and those that change are independent.
         coverage_factor: Half a 95 % interval of one coordinate, in standard deviations.
+        lasting: Mask of the quantities that are the same at every pose, (n_uncertain,).
     """
-    flat = jacobian.reshape(-1, jacobian.shape[-1])
-    product = covariance @ (flat.T @ flat) / (len(flat) / 3)
-    trace, squares = np.array(np.trace(product)), np.array(np.sum(product * product.T))
-    low, high = _root95(trace, squares, coverage_factor)
-    return RootMeanSquare(float(np.sqrt(np.maximum(trace, 0.0))), float(low), float(high))
+    of_poses = jacobian.reshape(len(jacobian), -1, jacobian.shape[-1])
+    same, change = of_poses[..., lasting], of_poses[..., ~lasting]
+    known = covariance[np.ix_(lasting, lasting)]
+    flat = same.reshape(-1, same.shape[-1])
+    product = known @ (flat.T @ flat)
+    changing = change @ covariance[np.ix_(~lasting, ~lasting)] @ change.swapaxes(1, 2)
+    trace = np.trace(product) + np.trace(changing, axis1=1, axis2=2).sum()
+    squares = (
+        np.sum(product * product.T)
+        + np.sum(changing**2)
+        + 2.0 * np.sum(changing * (same @ known @ same.swapaxes(1, 2)))
+    )
+    n = len(flat) / 3
+    mean = np.array(trace / n)
+    low, high = _root95(mean, np.array(squares / n**2), coverage_factor)
+    return RootMeanSquare(float(np.sqrt(np.maximum(mean, 0.0))), float(low), float(high))
 
 
 def order_of_joints(q: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -320,11 +337,18 @@ class ParameterUncertainty(ReadOnlyArrays):
             return "without what the model leaves out"
         return "counting what the model leaves out"
 
+    def with_undecided_terms(self, robot: Robot) -> Robot:
+        """Return a robot with the undecided joint terms added, their coefficients zero."""
+        return robot if self.undecided is None else self.undecided.with_terms(robot)
+
+    def lasting_names(self, robot: Robot) -> list[str]:
+        """Return the uncertain parameters of a robot with undecided terms: the free ones, then coefficients."""
+        return [*self._free_names(robot), *self._undecided_names(robot)]
+
     def lasting(self, robot: Robot) -> BoolArray:
         """Return a mask of the uncertain quantities that are the same at every pose, (n_uncertain,)."""
-        n_changing = self._n_errors(robot)
-        n_lasting = int(np.sum(self.free)) + len(self._undecided_names(robot))
-        return np.arange(n_lasting + n_changing) < n_lasting
+        n_lasting = len(self.lasting_names(robot))
+        return np.arange(n_lasting + self._n_errors(robot)) < n_lasting
 
     def counting(self, robot: Robot, counts: BoolArray) -> BoolArray:
         """Extend a mask of free parameters that count, (n_free,), by all other uncertain quantities, (n_uncertain,)."""
@@ -335,9 +359,8 @@ class ParameterUncertainty(ReadOnlyArrays):
         if self.undecided is None and self.joint_error == 0.0:
             return self.covariance
         total = np.diag(np.where(self.lasting(robot), 0.0, self.joint_error**2))
-        names = [*self._free_names(robot), *self._undecided_names(robot)]
         if self.undecided is not None:
-            spread = self.undecided.sensitivity_of(names)
+            spread = self.undecided.sensitivity_of(names := self.lasting_names(robot))
             total[: len(names), : len(names)] += spread @ spread.T
         n_free = len(self.covariance)
         total[:n_free, :n_free] += self.covariance
@@ -358,13 +381,9 @@ class ParameterUncertainty(ReadOnlyArrays):
         Raises:
             UnreachablePoseError: A loop stays open.
         """
-        whole, index = robot, np.flatnonzero(self.free)
-        if self.undecided is not None:
-            whole = self.undecided.with_terms(robot)
-            place = {p.name: k for k, p in enumerate(whole.parameters)}
-            index = np.array(
-                [place[name] for name in (*self._free_names(robot), *self._undecided_names(robot))], dtype=np.intp
-            )
+        whole = self.with_undecided_terms(robot)
+        place = {p.name: k for k, p in enumerate(whole.parameters)}
+        index = np.array([place[name] for name in self.lasting_names(robot)], dtype=np.intp)
         configurations = whole.assemble(q, near, context=context)
         linear = linearise(whole, configurations, turns=turns, joints=self.joint_error > 0.0)
         jacobian = linear.jacobian[..., index]

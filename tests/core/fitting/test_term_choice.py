@@ -18,6 +18,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.data.pose_groups import boxes
 from calib.core.fitting.terms.candidate_terms import candidates
 from calib.core.fitting.terms.joint_curves import is_beyond_learned
+from calib.core.fitting.terms.kind_model import KindModel
 from calib.core.fitting.validation import stretches
 from calib.core.robots.terms.one_coefficient import CouplingSection
 from calib.core.robots.terms.terms import TERMS, parse_terms
@@ -235,6 +236,28 @@ def test_intervals_of_terms_and_of_predictions_cover(tmp_path):
         coefficients, positions = coverage(robot, ("gain", "backlash"), n, 12)
         assert coefficients > 0.88
         assert positions > 0.85
+
+
+@pytest.mark.quick(0)
+def test_sizes_of_chosen_curves_are_drawn_no_second_time(monkeypatch):
+    """A fit finds them, and counts how uncertain they are: drawn again, they would count twice."""
+    robot, drawn = example_arm(None), []
+    original = KindModel.undecided
+
+    def looking(self, model, fitted, others, terms):
+        drawn.append((self.families, fitted, others))
+        return original(self, model, fitted, others, terms)
+
+    monkeypatch.setattr(KindModel, "undecided", looking)
+    _, data, _ = simulated(robot, ("curve",), np.random.default_rng(3))
+    fit = calib.fit(robot, data, terms="auto")
+    families, fitted, others = drawn[0]
+    chosen = {term.joint for term in fit.robot.terms if term.parameters[0].family}
+    assert chosen
+    for k, family in enumerate(families):
+        changes = bool(np.ptp(others[:, k]) > 0)
+        assert changes == (family.term != "curve" or family.joint not in chosen), family
+        assert changes or np.all(others[:, k] == fitted[k])
 
 
 def test_boxes_are_neighbours_and_keep_repeats_together():

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from calib.core.data.in_memory import plain_readings
 from calib.core.data.pose_groups import are_drawn_alike, is_apart, pose_labels
 from calib.core.fitting.validation import deal
 from calib.core.judging.claim import is_elsewhere, unlike_measured
+from tests.project import EXAMPLES
 from tests.six_axis_arm import joints, noisy
 
 RNG = np.random.default_rng(0)
@@ -116,9 +116,8 @@ def test_a_senseless_number_of_folds_is_an_error(arm, folds):
 
 def test_an_error_of_a_fit_without_one_fold_says_so():
     """The file has enough poses; those without a fold do not."""
-    examples = Path(__file__).parents[1] / "docs" / "examples"
-    robot = calib.load(examples / "five_bar.yaml")
-    data = calib.read_measurements(examples / "five_bar_simulated.csv", robot)[:8]
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    data = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", robot)[:8]
     with pytest.raises(
         calib.CalibrationError, match=r"fit without one fold \(4 of 8 poses\): .*; or ask for more folds"
     ):

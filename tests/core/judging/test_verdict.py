@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +19,7 @@ from calib.core.judging.rounded_joint_values import joint_steps, rounding
 from calib.core.judging.row_derivatives import scales
 from calib.core.judging.rules_reach import _covariance_given
 from tests.core.judging.situations import SIGMA
+from tests.project import EXAMPLES
 from tests.six_axis_arm import FREE, YAML, joints, measurements, noisy, write_six_axis
 
 
@@ -386,7 +386,7 @@ def test_what_is_left_uncertain_if_some_were_known_is_the_inverse_of_their_infor
 def test_values_a_turn_beyond_the_limits_need_a_look_even_where_the_joint_moves_no_target(tmp_path):
     """Degrees read as radians of a UR10's last joint passed, since its reflector sat near that joint's axis."""
     for name in ("arm.urdf", "arm.yaml"):
-        text = (Path(__file__).parents[1] / "docs" / "examples" / name).read_text()
+        text = (EXAMPLES / name).read_text()
         (tmp_path / name).write_text(text.replace("20 mm, 0 mm, 50 mm", "50 mm, 0 mm, 0 mm"))
     robot = calib.load(tmp_path / "arm.yaml")
     q = np.random.default_rng(1).uniform(-1.2, 1.2, (50, 6))

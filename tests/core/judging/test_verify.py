@@ -15,7 +15,7 @@ from calib.core.data.measurement_files import format_measurements
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.table_writing import format_table
 from calib.core.judging.acceptance import verify, visible_changes
-from calib.core.judging.promise import Promise, System
+from calib.core.judging.promise import Promise, System, candidates
 from calib.core.judging.repeatability import CONDITIONS, conditions, iso_figures
 from calib.core.results.acceptance_text import text_report
 from calib.core.results.result_reading import load_result
@@ -208,7 +208,8 @@ def test_a_change_that_is_visible_is_seen_in_nine_of_ten(arm):
 def test_a_result_folder_promises_what_its_fit_did(arm, folder):
     robot, _, fit = arm
     read, own = load_result(folder, robot).promise, Promise.from_calibration(fit)
-    assert np.allclose(read.covariance, own.covariance, rtol=1e-12)
+    assert np.allclose(read.uncertainty.covariance, own.uncertainty.covariance, rtol=1e-12)
+    assert read.uncertainty.joint_error == own.uncertainty.joint_error > 0
     assert np.allclose(read.robot.values, own.robot.values, rtol=0, atol=1e-12)
     assert read.freedom == pytest.approx(own.freedom)
     assert read.sigma.keys() == own.sigma.keys()

@@ -7,8 +7,15 @@ import pytest
 import scipy
 
 from calib.core.numerics.mixed_model import MixedModel
-from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows
-from calib.core.numerics.size_search import draw_sizes, information_by_size, least_sizes, likeliest_sizes
+from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows, whiten_scatter
+from calib.core.numerics.size_search import (
+    draw_sizes,
+    information_by_size,
+    least_sizes,
+    likeliest_sizes,
+    noise_given_scatter,
+    scatter_given_noise,
+)
 
 GROUPS = np.tile([0, 0, 1], 20)
 POSES = np.repeat(np.arange(20), 3)
@@ -275,3 +282,34 @@ def test_the_average_information_is_the_mean_of_fishers_and_the_second_derivativ
               for e in np.eye(4)]  # fmt: skip
     by_variances = np.array(second) - np.diag(2.0 * solved.gradient)  # d^2 / d(log s)^2 has the slope, too
     np.testing.assert_allclose(solved.average_information, (solved.information + by_variances) / 2.0, rtol=1e-5)
+
+
+def test_a_scatter_is_no_larger_than_residuals_that_are_nothing_else():
+    """Noise of another shape, large where the lever is short, makes the likeliest scatter many times too large."""
+    rng, n = np.random.default_rng(8), 60
+    levers = np.tile([[10.0, 0.0], [0.0, 0.1]], (n, 1))
+    noise = rng.standard_normal(2 * n) * np.tile([100.0, 1000.0], n)
+    known = 1e4 * rng.standard_normal(2 * n)  # its coefficient explains most of the values
+    rows = MixedRows(
+        known[:, None], noise + known, np.array([KNOWN]), np.zeros(2 * n, dtype=int), np.array([True]),
+        np.repeat(np.arange(n), 2), levers,
+    )  # fmt: skip
+    found = likeliest_sizes(MixedModel.from_rows(rows))
+    alone = np.sqrt(np.sum(noise**2) / np.sum(levers**2))
+    assert scatter_given_noise(found) == pytest.approx(alone, rel=0.1)
+    assert np.exp(found.logs[-1]) > 3.0 * alone
+
+
+def test_noise_beside_a_scatter_is_that_of_the_rows():
+    """Of rows whose scatter is known; their whitened values have the variance 1, and are independent."""
+    rng, n = np.random.default_rng(9), 3000
+    levers, pose = rng.standard_normal((3 * n, 4)), np.repeat(np.arange(n), 3)
+    changes = np.einsum("kij,kj->ki", levers.reshape(n, 3, 4), 0.5 * rng.standard_normal((n, 4))).ravel()
+    values = changes + 0.2 * rng.standard_normal(3 * n)
+    one = np.zeros(3 * n, dtype=int)
+    rows = MixedRows(np.ones((3 * n, 1)), values, np.array([FLAT]), one, np.array([False]), pose, levers)
+    found = likeliest_sizes(MixedModel.from_rows(rows))
+    noise = noise_given_scatter(found, 0.5)[0]
+    assert noise == pytest.approx(0.2, rel=0.1)
+    white = whiten_scatter(0.5 / noise * levers, pose, values / noise)[0].reshape(n, 3)
+    np.testing.assert_allclose(white.T @ white / n, np.eye(3), atol=0.1)

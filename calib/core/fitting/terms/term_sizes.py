@@ -24,7 +24,9 @@ Results:
     terms        kinds that stay are fitted like any term, with the sigma that was found
     undecided    the other kinds may exist, too, and sizes are uncertain. With coefficients u and covariance C for
                  drawn sizes of all kinds that the rows leave open, cov u = mean of C + covariance of u: its excess
-                 over C of the fitted sizes is added to the covariance of the fit
+                 over C of the fitted sizes is added to the covariance of the fit. Sizes of fitted curves are not
+                 drawn: the fit finds them again, and counts their uncertainty
+                 (`calib.core.numerics.prior_sizes`)
 
 Measured on real robots (`docs/theory/joint_terms.md`): weighting the fit itself by the error of joints was no better on
 one tracked arm and much worse where a camera reads several points of a pose, whose noise has another shape. Time and
@@ -112,7 +114,7 @@ class _TermModel:
     """The mixed model of all kinds around a fit."""
 
     def __init__(self, fit: Fit, kinds: Sequence[CandidateTerm]) -> None:
-        self._fit = fit
+        self._fit, self._kinds = fit, kinds
         self._kind_model = KindModel(fit, kinds)
         self._families = self._kind_model.families
         self._sections = tuple(section for candidate in kinds for section in candidate.sections)
@@ -283,4 +285,13 @@ class _TermModel:
         fitted = np.append(self._is_fitted, np.ones(len(self._smallest_logs) - len(self._families), dtype=bool))
         logs = np.where(fitted, self._chosen_model.logs, self._smallest_logs)
         others = missing_terms(self._fit.robot.with_terms(fitted_terms), self._sections)
-        return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, self._draws, others)
+        draws = np.where(fitted & self._has_size_in_fit, logs, self._draws)
+        return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, draws, others)
+
+    @cached_property
+    def _has_size_in_fit(self) -> BoolArray:
+        """Mask of the sizes that a fit finds, and whose uncertainty it counts, (n_sizes,): those of curves."""
+        model = self._kind_model
+        curves = [kind.term for kind in self._kinds if kind.is_curve_in(model.robot)]
+        found = ~model.of_kinds | np.isin(self._terms, curves)
+        return np.append(found, np.zeros(len(self._smallest_logs) - len(found), dtype=bool))

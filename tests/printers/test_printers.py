@@ -153,8 +153,12 @@ def test_a_fit_shows_the_errors_of_what_the_owner_has_saved(folder):
     heights = np.array([len(row.places) == 1 for row in printer.rows])
     report = calib.fit("p.yaml", "p.csv").report()
     for part, some in (("height", heights), ("distance", ~heights)):
-        before = re.search(rf"{part} \[mm\], settings in use +25 +([\d.]+) -> ", report)[1]
+        before, designed = (
+            re.search(rf"{part} \[mm\], {row} +25 +([\d.]+) -> ", report)[1]
+            for row in ("identification", "as designed")
+        )
         assert float(before) == pytest.approx(np.sqrt(np.mean(errors[some] ** 2)), abs=6e-5)
+        assert float(designed) > 2 * float(before)
     text = (folder / "p.yaml").read_text()
     (folder / "p.yaml").write_text(text.replace("in_use: {delta_radius", "in_use: {radius"))
     with pytest.raises(CalibrationError, match=r"p\.yaml: in_use.*'radius'.*delta_radius"):

@@ -23,6 +23,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import numbers_by_instrument
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.solving import place
+from calib.core.fitting.unseen_errors import left_out_ratio
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.identifiability import RANK_TOLERANCE, unit_columns
@@ -80,7 +81,8 @@ class Promise:
             shared = 1.0 if statistics.shared_scatter is None else statistics.shared_scatter.ratio
             data, decided = calibrated.identification.data, statistics.effective_parameters
             names = tuple(map(str, data.names))
-            return Promise(calibrated.robot, known, statistics.freedom, sigma, shared, decided, data.joints, names)
+            promise = Promise(calibrated.robot, known, statistics.freedom, sigma, shared, decided, data.joints, names)
+            return promise.widen(left_out_ratio(calibrated))
         if isinstance(calibrated, HasPromise):
             return calibrated.promise
         raise InputError(
@@ -90,8 +92,9 @@ class Promise:
 
     def widen(self, ratio: float) -> Promise:
         """Return the promise of errors this many times as large."""
-        sigma = {key: ratio * size for key, size in self.sigma.items()}
-        return replace(self, covariance=ratio**2 * self.covariance, sigma=sigma)
+        known = self.uncertainty
+        known = replace(known, covariance=ratio**2 * known.covariance, joint_error=ratio * known.joint_error)
+        return replace(self, uncertainty=known, sigma={key: ratio * size for key, size in self.sigma.items()})
 
     def with_common_error(self, n_rows: int) -> Promise:
         """Return the promise where unexplained errors may be one common error of n rows, though no larger.

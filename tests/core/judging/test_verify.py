@@ -185,8 +185,10 @@ def test_a_promise_is_as_wide_as_poses_left_out_show():
     ratio = np.sqrt(np.sum(r * e) / (3 * r.size / 2)) / noise  # rows across the plane are noise alone
     promise = Promise.from_calibration(fit)
     assert ratio > 1.1
-    assert next(iter(promise.sigma.values())) == pytest.approx(ratio * noise, rel=0.1)
-    assert np.allclose(promise.covariance, (next(iter(promise.sigma.values())) / noise) ** 2 * fit.covariance.values)
+    wider = next(iter(promise.sigma.values())) / fit.reading_noise[0]
+    assert wider == pytest.approx(ratio, rel=0.1)
+    assert promise.uncertainty.joint_error == pytest.approx(wider * fit.joint_error)
+    assert np.allclose(promise.uncertainty.covariance, wider**2 * fit.covariance.values)
 
 
 @pytest.mark.quick(0)

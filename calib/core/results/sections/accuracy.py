@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -38,8 +39,8 @@ def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
 def shown_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
     """Return the sets by their display names.
 
-    Validation poses whose frame moved have it placed anew. Settings in use were computed from the poses used: their
-    errors there come last.
+    Validation poses whose frame moved have it placed anew. Where a description has the settings in use, the errors
+    before are theirs. They were computed from the poses used, so the verdict compares with the last set: as designed.
     """
     placed = validation_errors(fit)
     sets = [
@@ -49,7 +50,10 @@ def shown_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
         for name, errors in error_sets(fit)
     ]
     if fit.nominal.description.in_use:
-        sets.append(("settings in use", errors_on(robot_in_use(fit.placed), fit.robot, fit.identification.data)))
+        robot = robot_in_use(fit.placed)
+        in_use = [(name, errors_on(robot, fit.robot, errors.data).before, errors) for name, errors in sets]
+        sets = [(name, replace(errors, before=before)) for name, before, errors in in_use]
+        sets.append(("as designed", fit.identification))
     return sets
 
 

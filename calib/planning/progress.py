@@ -1,8 +1,8 @@
 """Accuracy after the poses measured so far, with an interval of the error at poses predicted before they were fitted.
 
-The predicted error contains noise alone. Errors of the model show only at measured poses that the fit has not used. So
-every new pose is first predicted by the fit of the poses before it, and then fitted (Dawid's prequential principle).
-Only the last poses test the present fit: at most `MOST`, measured since the predicted error met the goal. While there
+Errors of the model show only at measured poses that the fit has not used. So every new pose is first predicted by the
+fit of the poses before it, and then fitted (Dawid's prequential principle). Only the last poses test the present fit:
+at most `MOST`, measured since the part of the predicted error that more poses lower met the goal. While there
 are fewer than `LEAST` such poses, the last `LAST` of all poses count. Let s_k be the mean square error at pose k, and m
 its mean over n poses. m is approximately distributed as g chi^2_h with the same mean and variance,
 
@@ -45,9 +45,9 @@ from calib.planning.next_pose import NextPose
 UNKNOWN = RootMeanSquare(math.inf, 0.0, math.inf)
 """An unknown distance."""
 LAST = 20
-"""The error of this many last poses is judged while the predicted error is above the goal."""
+"""The error of this many last poses is judged while more poses still lower the predicted error."""
 MOST = 40
-"""The error of at most this many last poses is judged once the predicted error meets the goal."""
+"""The error of at most this many last poses is judged once what more poses lower meets the goal."""
 LEAST = 10
 """Least number of poses for an error."""
 _TOO_SMALL = 8.0
@@ -64,11 +64,12 @@ class Progress(ReadOnlyArrays):
         n_candidates: Number of reachable candidates: the goal is about them, and the next pose is one of them.
         fit: The calibration from all measured poses; None while they do not suffice.
         reason_without_fit: Reason why there is no fit yet.
-        predicted: Error over the candidates from noise, by the covariance of the fit.
+        predicted: Error over the candidates that the fit predicts.
+        lowered: Part of it that more poses lower: of parameters and undecided terms, without errors of joints.
         unseen: Error at the last poses, each predicted by a fit of the poses before it, including noise of readings;
             without measured positions, estimated from the errors of the readings.
         n_unseen: Number of these poses.
-        n_settled: Number of these that were predicted by fits whose predicted error met the goal.
+        n_settled: Number of these that were predicted by fits of which `lowered` met the goal.
         next_pose: Pose to measure next; None if all candidates are measured.
         seconds: Duration of this update.
     """
@@ -80,6 +81,7 @@ class Progress(ReadOnlyArrays):
     fit: Fit | None
     reason_without_fit: CalibrationError | None
     predicted: RootMeanSquare
+    lowered: RootMeanSquare
     unseen: RootMeanSquare
     n_unseen: int
     n_settled: int
@@ -103,21 +105,24 @@ class Progress(ReadOnlyArrays):
 
     @property
     def out_of_reach(self) -> bool:
-        """Whether more poses cannot help: the predicted error meets the goal, but the unseen error does not."""
-        return self.predicted.high95 <= self.goal < self.unseen.low95 and self.n_settled == self.n_unseen
+        """Whether more poses cannot help: what they lower meets the goal, but the unseen error does not."""
+        return self.lowered.high95 <= self.goal < self.unseen.low95 and self.n_settled == self.n_unseen
 
     @property
     def poses_left(self) -> int | None:
         """Estimated number of further poses for the goal; None if unknown.
 
-        The predicted error falls like the inverse root of the number of poses, or faster with well-chosen poses; then
-        at least `LEAST` poses must be predicted by fits whose predicted error meets the goal.
+        The part of the predicted error that more poses lower falls like the inverse root of their number, or faster
+        with well-chosen poses; then at least `LEAST` poses must be predicted by fits of which it meets the goal.
         """
         if self.stop:
             return 0
         if self.fit is None or self.out_of_reach or not math.isfinite(self.predicted.high95):
             return None
-        more = max(0, math.ceil(self.n_poses * ((self.predicted.high95 / self.goal) ** 2 - 1)))
+        stays = self.predicted.high95**2 - self.lowered.high95**2
+        if stays >= self.goal**2:
+            return None
+        more = max(0, math.ceil(self.n_poses * (self.lowered.high95**2 / (self.goal**2 - stays) - 1)))
         if not more and self.n_settled >= LEAST:
             return None
         return more + LEAST - (0 if more else self.n_settled)
@@ -132,8 +137,9 @@ class Progress(ReadOnlyArrays):
         if self.fit is None:
             lines = [f"not yet a calibration: {self.reason_without_fit}"]
         else:
+            candidates = f"{self.n_candidates} candidates"
             lines = [
-                f"predicted error  {_format_error(self.predicted)} over {self.n_candidates} candidates",
+                f"predicted error  {_format_error(self.predicted)} over {candidates}{self._lowered()}",
                 f"unseen error     {self._unseen_shown()}",
             ]
         return [*lines, f"goal {millimetres(self.goal):.4g} mm: {self._verdict()}"]
@@ -151,6 +157,7 @@ class Progress(ReadOnlyArrays):
                 "out_of_reach": self.out_of_reach,
                 "obstacle": None if self.reason_without_fit is None else str(self.reason_without_fit),
                 "predicted_mm": _as_data(self.predicted),
+                "lowered_mm": _as_data(self.lowered),
                 "unseen_mm": _as_data(self.unseen) | {"poses": self.n_unseen},
                 "next": None
                 if following is None
@@ -173,7 +180,7 @@ class Progress(ReadOnlyArrays):
             return "STOP: it is met, with 95 % confidence"
         if self.out_of_reach:
             return (
-                "not reached, and more poses will not help: the predicted error meets the goal, unseen errors do not;"
+                "not reached, and more poses will not help: what they lower meets the goal, unseen errors do not;"
                 " the model leaves something out (calib fit --terms auto), or the noise of a reading is above the goal"
             )
         noise = None if self.fit is None else self.fit.first_noise
@@ -184,6 +191,12 @@ class Progress(ReadOnlyArrays):
                 shown = f"{millimetres(scatter):.3g} mm RMS"
                 return f"not yet; readings that scatter by {shown} about the model can never show that the goal is met"
         return "not yet"
+
+    def _lowered(self) -> str:
+        """Clause on the part that more poses lower, where errors of joints are another."""
+        if self.lowered == self.predicted:
+            return ""
+        return f"; more poses lower {millimetres(self.lowered.value):.3g} mm of it"
 
     def _unseen_shown(self) -> str:
         if not math.isfinite(self.unseen.high95):

@@ -94,8 +94,8 @@ class Watch:
         self._passive: FloatArray | None = None  # of the candidates at the last fit; the next fit starts there
         self._n_reached = len(self.candidates)  # number that the present fit reaches
         self._squares: list[float] = []
-        self._met = False  # whether the predicted error of the fit meets the goal
-        self._settled = 0  # number of the last squares from fits whose predicted error met the goal
+        self._met = False  # whether the part of the predicted error that more poses lower meets the goal
+        self._settled = 0  # number of the last squares from fits of which it met the goal
 
     def update(self, data: Measurements | None = None) -> Progress:
         """Predict the new poses, then fit all, and return the progress.
@@ -115,9 +115,9 @@ class Watch:
             self._judge(data)
             self._fit, obstacle = self._try_fit(data)
             self._data = data
-        predicted = self._predict_error(self._fit)
+        predicted, lowered = self._predict_errors(self._fit)
         n_unseen = min(self._settled, MOST) if self._settled >= LEAST else min(len(self._squares), LAST)
-        self._met = predicted.high95 <= self.goal
+        self._met = lowered.high95 <= self.goal
         return Progress(
             robot=self.robot,
             goal=self.goal,
@@ -126,6 +126,7 @@ class Watch:
             fit=self._fit,
             reason_without_fit=obstacle,
             predicted=predicted,
+            lowered=lowered,
             unseen=unseen_rms(self._squares[-n_unseen:] if n_unseen else []),
             n_unseen=n_unseen,
             n_settled=min(self._settled, n_unseen),
@@ -144,7 +145,7 @@ class Watch:
         if judge is None:
             known = int(np.sum(data.pose_numbers < data.n_poses - LAST))
             judge = self._try_fit(data[:known])[0] if known else None
-            met = self._predict_error(judge).high95 <= self.goal
+            met = self._predict_errors(judge)[1].high95 <= self.goal
         if judge is not None and known < len(data):
             new = squares_of(judge, data[known:])
             self._squares += new
@@ -157,25 +158,26 @@ class Watch:
         except (DataError, NotIdentifiableError, NotConvergedError) as error:  # too few poses, all on one line
             return None, error
 
-    def _predict_error(self, fit: Fit | None) -> RootMeanSquare:
+    def _predict_errors(self, fit: Fit | None) -> tuple[RootMeanSquare, RootMeanSquare]:
         if fit is None:
-            return UNKNOWN
+            return UNKNOWN, UNKNOWN
         columns = term_columns(fit.robot, self.candidates.joints, self.candidates.conditions)
         closed = fit.robot.close(self.candidates.joints, self._passive, columns)
         self._passive = closed.passive
         reached = np.flatnonzero(closed.ok)
         self._n_reached = len(reached)
         if not len(reached):
-            return UNKNOWN
+            return UNKNOWN, UNKNOWN
         known, poses = fit.uncertainty, self.candidates
         near, conditions = closed.passive[reached], poses.conditions.select(reached)
         linear = known.linearise(fit.robot, poses.joints[reached], conditions, near, turns=False)
-        return predicted_rms(
-            linear.jacobian[:, fit.robot.reported_targets],
-            known.covariance_of(fit.robot),
-            known.coverage_factor,
-            known.lasting(fit.robot),
+        jacobian, covariance = linear.jacobian[:, fit.robot.reported_targets], known.covariance_of(fit.robot)
+        lasting = known.lasting(fit.robot)
+        whole, part = (
+            predicted_rms(jacobian[..., some], covariance[np.ix_(some, some)], known.coverage_factor, lasting[some])
+            for some in (np.ones_like(lasting), lasting)
         )
+        return whole, part
 
     def _next(self, data: Measurements | None) -> NextPose | None:
         """The pose to measure next, by the present fit or by the nominal robot."""

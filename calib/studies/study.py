@@ -226,14 +226,14 @@ def _draw(setting: _Setting, truth: Robot, fit: Fit) -> Draws:
         half_width = predicted.coverage_factor * predicted.std
         errors = predicted.positions - truth.positions(q, seed=near)
     # repeats of resampled poses scatter less than noise does
-    has_chi_square = fit.chi_square is not None and isinstance(setting.source, SimulatedDraws)
+    square = fit.chi_square if isinstance(setting.source, SimulatedDraws) else None
     rows = (
         np.array([true.get(name, np.nan) for name in fit.free_names]),
         fit.robot.values[fit.unknowns.index],
         known.std,
         known.half_width,
         sigma,
-        fit.chi_square.value if has_chi_square else np.nan,
+        np.nan if square is None else square.value,
         known.freedom,
         float(len(outliers(fit)) > 0),
         errors,

@@ -24,7 +24,7 @@ def fit():
 def progress(fit, n_poses, high=1.5e-4):
     """What a watch tells after so many poses, of a goal of 0.1 mm."""
     robot = medrue_robot()
-    known = (RootMeanSquare(1e-4, 5e-5, high), RootMeanSquare(1.2e-4, 1e-4, high))
+    known = (*(RootMeanSquare(1e-4, 5e-5, high),) * 2, RootMeanSquare(1.2e-4, 1e-4, high))
     following = NextPose(7, "7", robot.home, 1e-4, 9e-5, 0.1)
     obstacle = None if fit is not None else DataError("too few poses")
     return calib.Progress(robot, 1e-4, n_poses, 300, fit, obstacle, *known, 20, 12, following, 0.1)

@@ -426,8 +426,8 @@ def test_the_predicted_error_is_that_of_the_covariance(commands):
     told, robot = commands.watched["twelve"], commands.few_free[0]
     by = derivative(told.fit.robot, joints(30, 8), told.fit.covariance.names)
     expected = 1e3 * np.sqrt(np.trace(by @ told.fit.covariance.values @ by.T) / 30)
-    said = r"predicted error ([\d.]+) mm RMS .* over (\d+) candidates"
-    assert numbers_of(said, commands.watch_texts["twelve"]) == pytest.approx([expected, 30], rel=5e-3)
+    said = r"predicted error [\d.]+ mm RMS .* over (\d+) candidates; more poses lower ([\d.]+) mm of it"
+    assert numbers_of(said, commands.watch_texts["twelve"]) == pytest.approx([30, expected], rel=5e-3)
     assert "too few unseen poses yet (0)" in commands.watch_texts["twelve"]
     assert "not yet a calibration: " in commands.watch_texts["three"]
     assert int(np.sum(robot.is_free)) >= 3 * 3
@@ -446,8 +446,8 @@ def test_more_poses_do_not_help_where_the_model_or_the_noise_is_what_is_left(com
     """A wave of the slide that no parameter has; and readings that scatter by 0.35 mm, with a goal of 0.25 mm."""
     for name in ("bent", "noisy"):
         text, told = commands.watch_texts[name], commands.watched[name]
-        assert "not reached, and more poses will not help: the predicted error meets the goal, unseen errors do" in text
-        assert told.predicted.high95 < told.goal < told.unseen.low95
+        assert "not reached, and more poses will not help: what they lower meets the goal, unseen errors do not" in text
+        assert told.lowered.high95 < told.goal < told.unseen.low95
         assert "next: pose" not in text
     assert commands.watched["noisy"].fit.sigma * np.sqrt(3) > commands.watched["noisy"].goal
     assert "will not help" not in commands.watch_texts["close"]

@@ -82,11 +82,12 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
 def noise_beside(fit: SolvedFit, joint_error: float, *, sized: bool) -> FloatArray:
     """Return the noise of each group of rows beside errors of joints of a size [rad], (n_groups,) [SI].
 
-    The residuals of a fit contain both. Arguments as in `unexplained_errors`.
+    The residuals of a fit contain both. Noise of a shape of its own, which looks like larger errors of joints, is noise.
+    Arguments as in `unexplained_errors`.
     """
     found = np.array([noise.sigma for noise in fit.noise])
     at = _solved(fit, sized)[2] if joint_error > 0.0 else None
-    if at is None:
+    if at is None or joint_error < np.exp(at.logs[-1]):
         return found
     units = [1.0 if group.stated else scale for group, scale in zip(fit.whitening.groups, fit.scales, strict=True)]
     typical = [group.typical for group in fit.whitening.groups]

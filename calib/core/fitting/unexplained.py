@@ -82,7 +82,7 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
 def noise_beside(fit: SolvedFit, joint_error: float, *, sized: bool) -> FloatArray:
     """Return the noise of each group of rows beside errors of joints of a size [rad], (n_groups,) [SI].
 
-    The residuals of a fit contain both. Noise of a shape of its own, which looks like larger errors of joints, is noise.
+    The residuals of a fit contain both. Noise of a shape of its own looks like larger errors of joints, but is noise.
     Arguments as in `unexplained_errors`.
     """
     found = np.array([noise.sigma for noise in fit.noise])

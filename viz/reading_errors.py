@@ -28,8 +28,10 @@ from calib.core.fitting.outliers import numbers_by_instrument
 from calib.core.instruments.kind import Comparison, FrameInstrument, JointInstrument, Part, View
 from calib.core.judging import findings
 from calib.core.numerics import linalg
+from calib.core.results.sections.accuracy import before_in_use
 from calib.core.robots import kinematics
 from calib.core.robots.mechanism import RelativeFrame
+from calib.core.robots.parametrisation import robot_in_use
 from calib.core.rows.observed import views_of_instruments
 from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, RowTable, spread_rows
 
@@ -107,16 +109,17 @@ class _SeenReadings(ReadOnlyArrays):
 def reading_errors_of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
     """Return the errors of all readings of a fit other than positions, part by part."""
     tables = []
+    placed = robot_in_use(fit.placed)
     sets = [(IDENTIFICATION, fit.identification, fit.rows, findings.outliers(fit))]
     if fit.validation is not None and fit.validation_rows is not None:
         sets.append((VALIDATION, fit.validation, fit.validation_rows, findings.validation_outliers(fit)))
     for group, errors, rows, outliers in sets:
         marked = numbers_by_instrument([outlier.reading for outlier in outliers], rows.layout)
-        tables += _tables_of_set(group, errors, fit.placed, fit.robot, marked)
+        tables += _tables_of_set(group, before_in_use(fit, errors), placed, fit.robot, marked)
     left_out = findings.excluded_errors(fit)
     if left_out is not None:
         marked = {name: np.arange(len(readings)) for name, readings in left_out.data.readings.items()}
-        tables += _tables_of_set(EXCLUDED, left_out, fit.placed, fit.robot, marked)
+        tables += _tables_of_set(EXCLUDED, before_in_use(fit, left_out), placed, fit.robot, marked)
     return _join_tables(tables)
 
 

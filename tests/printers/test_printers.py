@@ -15,6 +15,8 @@ from calib.printers.files import read_printer
 from calib.printers.formats import geometry_of
 from calib.printers.rows import expected_geometry, residuals
 from tests.code_comparison.codes.delta_printer import calibrated, nozzle
+from viz.reading_errors import reading_errors_of_fit
+from viz.report_tables import Headline
 
 TRUE = np.array([103.3, 210.12, 329.85, 90.0, 208.25, 207.95, 208.1, 240.9, 241.6, 240.4])
 STEP = 32 / (200 * 16)
@@ -151,7 +153,11 @@ def test_a_fit_shows_the_errors_of_what_the_owner_has_saved(folder):
     printer = read_printer("printer.cfg", "klipper")
     errors = 1e3 * residuals(printer.geometry, printer.rows)
     heights = np.array([len(row.places) == 1 for row in printer.rows])
-    report = calib.fit("p.yaml", "p.csv").report()
+    fit = calib.fit("p.yaml", "p.csv")
+    report, height = fit.report(), np.sqrt(np.mean(errors[heights] ** 2))
+    drawn = next(table for table in reading_errors_of_fit(fit) if table.part.name == "height")
+    assert Headline.from_fit(fit).before["rms"] == pytest.approx(height, rel=1e-6)
+    assert 1e3 * np.sqrt(np.mean(np.sum(drawn.before**2, axis=1))) == pytest.approx(height, rel=1e-6)
     for part, some in (("height", heights), ("distance", ~heights)):
         before, designed = (
             re.search(rf"{part} \[mm\], {row} +25 +([\d.]+) -> ", report)[1]

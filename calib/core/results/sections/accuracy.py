@@ -50,11 +50,16 @@ def shown_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
         for name, errors in error_sets(fit)
     ]
     if fit.nominal.description.in_use:
-        robot = robot_in_use(fit.placed)
-        in_use = [(name, errors_on(robot, fit.robot, errors.data).before, errors) for name, errors in sets]
-        sets = [(name, replace(errors, before=before)) for name, before, errors in in_use]
+        sets = [(name, before_in_use(fit, errors)) for name, errors in sets]
         sets.append(("as designed", fit.identification))
     return sets
+
+
+def before_in_use(fit: Fit, errors: ErrorSet) -> ErrorSet:
+    """Return a set of poses whose errors before are those of the settings in use, where a description has any."""
+    if not fit.nominal.description.in_use:
+        return errors
+    return replace(errors, before=errors_on(robot_in_use(fit.placed), fit.robot, errors.data).before)
 
 
 def judging_errors(fit: Fit) -> tuple[str, ErrorSet]:

@@ -74,7 +74,7 @@ def kernels(mechanism: Mechanism, n_poses: int) -> Any:
 @cache
 def _tell_compiling() -> None:
     """Say once that functions will be compiled, because no stored code was found."""
-    if not _functions().is_compiled():
+    if not _functions().is_compiled("*"):
         warn_once("numba compiles the kinematics; this takes about 5 s, once for each version")
 
 

@@ -346,7 +346,7 @@ def motion(
                         result[k, r, columns[e]] -= X[i, r] * opened
 
 
-def is_compiled() -> bool:
-    """Whether an earlier program has compiled this version of the file, or this one has."""
+def is_compiled(function: str = "motion") -> bool:
+    """Whether an earlier program has compiled a function of this version of the file, or this one has; `*` is any."""
     folder, version = Path(motion.stats.cache_path), Path(__file__).stat().st_mtime
-    return any(index.stat().st_mtime >= version for index in folder.glob("kernels.motion-*.nbi"))
+    return any(index.stat().st_mtime >= version for index in folder.glob(f"kernels.{function}-*.nbi"))

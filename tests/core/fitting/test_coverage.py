@@ -112,7 +112,8 @@ def assert_mean(result, expected, n, limit, scatter):
 @pytest.mark.amount(50, 1000)
 def test_intervals_of_a_serial_arm_hold_the_truth_in_95_percent(arm, amount):
     covered = coverage(arm, joints(40), joints(10, 5), amount)
-    assert_between(covered, 0.925, 0.975, amount)
+    assert_between(replace(covered, positions=covered.parameters), 0.925, 0.975, amount)
+    assert_between(covered, 0.925, 0.99, amount)  # positions count errors of joints that 40 poses cannot exclude
     assert_mean(np.mean(covered.parameters), 0.95, amount, 0.01, 0.06)
     assert_mean(covered.sigma, 1.0, amount, 0.02, 0.07)
     assert_mean(covered.squared, 1.0, amount, 0.02, 0.15)

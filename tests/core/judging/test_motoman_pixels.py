@@ -37,7 +37,7 @@ def test_pixels_and_tracker_together_are_no_worse_than_the_tracker_alone(shared_
     assert known.summary()["mean"] == pytest.approx(1e3 * np.mean(known.distance[:, 1]), rel=1e-12)
     assert known.summary()["mean"] < 0.05
     assert "not counted: body (known to" in " ".join(fit.report(verbose=True).split())
-    assert max(share.std for share in fit.budget.shares) < 0.05e-6  # directions that readings leave open do not count
+    assert max(share.std for share in fit.budget.shares) < 0.2e-6  # directions that readings leave open do not count
 
 
 @pytest.mark.amount(0, 1)

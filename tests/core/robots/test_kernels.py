@@ -216,18 +216,21 @@ def test_the_same_poses_are_sampled_by_compiled_code():
 
 
 FIRST_USE = """
-import numpy as np
-from calib.core.robots import kernels
+import sys
 
-tree = kernels.Tree(np.zeros(1, dtype=int), np.zeros((1, 12)), np.zeros((1, 6)))
-kernels.poses(tree, np.zeros((2, 1)))
+import calib
+from calib.core.robots.acceleration import compile_kinematics
+
+robot = calib.load(sys.argv[1])
+with compile_kinematics():
+    robot.sample(200, seed=4)
 """
 
 
 @pytest.mark.amount(0, 1)
 def test_the_first_program_says_once_that_it_compiles(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    program = [sys.executable, "-c", FIRST_USE]
+    program = [sys.executable, "-c", FIRST_USE, EXAMPLES / "five_bar.yaml"]
     first, second = (subprocess.run(program, env=environment, capture_output=True, text=True, check=True) for _ in "12")
     assert first.stderr == "numba compiles the kinematics; this takes about 5 s, once for each version\n"
     assert second.stderr == ""

@@ -386,7 +386,7 @@ def test_plots_are_laid_out_anew_for_paper(small_report):
     tab.page.evaluate("window.dispatchEvent(new Event('afterprint'))")
     assert tab.page.evaluate(beside.format(".halves")) == of_paper  # beside the robot again
     tab.page.set_viewport_size({"width": 1000, "height": 900})
-    tab.page.wait_for_function(f"JSON.stringify({wide}) == '{json.dumps(before, separators=(',', ':'))}'")
+    tab.page.wait_for_function(f"() => JSON.stringify({wide}) == '{json.dumps(before, separators=(',', ':'))}'")
     seen = [picture for picture in pictures if picture[1]]
     assert len(seen) > 5
     for natural, shown, room in seen:

@@ -14,7 +14,8 @@ from calib.core.base.words import count_noun
 from calib.core.commands.common import Output, load_robot, result_folder, shared_options
 from calib.core.data.measurement_files import read_measurements, read_poses
 from calib.core.judging.acceptance import poses_needed, verify, visible_changes
-from calib.core.judging.promise import POWER, Promise, candidates
+from calib.core.judging.acceptance_system import POWER, candidates
+from calib.core.judging.promise import Promise
 from calib.core.judging.repeatability import iso_figures
 from calib.core.results.acceptance_text import changes_as_data, plan_report, text_report, to_dict
 from calib.core.results.result_reading import load_result

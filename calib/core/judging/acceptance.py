@@ -68,16 +68,15 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.data.in_memory import MeasurementsLike, PosesLike, as_measurements, as_poses
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
-from calib.core.judging.promise import (
+from calib.core.judging.acceptance_system import (
     POWER,
     Change,
-    HasPromise,
-    Promise,
     System,
     candidates,
     six_digits,
     without_outliers,
 )
+from calib.core.judging.promise import HasPromise, Promise
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.settling import poses_that_settle
 from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY

@@ -16,7 +16,8 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import CalibrationError
 from calib.core.data.pose_groups import pose_labels
-from calib.core.judging.promise import Change, Promise, System, candidates
+from calib.core.judging.acceptance_system import Change, System, candidates
+from calib.core.judging.promise import Promise
 from calib.core.numerics.identifiability import unit_columns
 from calib.core.rows.simulate import simulate
 

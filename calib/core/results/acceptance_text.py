@@ -12,7 +12,7 @@ from calib.core.base.units import display_unit, error_unit, millimetres
 from calib.core.base.words import as_data, count_noun, listing, plain_text, text_table
 from calib.core.fitting.error_sets import error_table
 from calib.core.judging.acceptance import Acceptance
-from calib.core.judging.promise import POWER, Change
+from calib.core.judging.acceptance_system import POWER, Change
 from calib.core.judging.repeatability import CONDITIONS, IsoFigure, conditions
 from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 

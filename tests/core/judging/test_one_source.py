@@ -6,7 +6,8 @@ import pytest
 import calib
 from calib.core.data.measurements import Poses
 from calib.core.judging.acceptance import verify
-from calib.core.judging.promise import Promise, System
+from calib.core.judging.acceptance_system import System
+from calib.core.judging.promise import Promise
 from tests.six_axis_arm import FREE, YAML, joints, write_six_axis
 
 

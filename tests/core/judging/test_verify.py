@@ -15,7 +15,8 @@ from calib.core.data.measurement_files import format_measurements
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.table_writing import format_table
 from calib.core.judging.acceptance import verify, visible_changes
-from calib.core.judging.promise import Promise, System, candidates
+from calib.core.judging.acceptance_system import System, candidates
+from calib.core.judging.promise import Promise
 from calib.core.judging.repeatability import CONDITIONS, conditions, iso_figures
 from calib.core.results.acceptance_text import text_report
 from calib.core.results.result_reading import load_result

@@ -35,7 +35,7 @@ from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import order_in_blocks, travel
 from calib.planning.screening import CandidateSubset, best_candidates, first_candidates
-from calib.planning.selection_bound import CERTIFIED, log_phi, relax
+from calib.planning.selection_bound import CERTIFIED, gathered_by, log_phi, relax
 from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_result import Run, Selection
 from calib.planning.selection_scores import index_values
@@ -210,7 +210,7 @@ def _certify(
     relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
     heaviest = np.concatenate(setting.largest(np.where(usable, relaxation.weights, -1.0), setting.counts))
     weighted = np.flatnonzero(best.chosen | (relaxation.weights > 0))
-    searched = best_candidates(setting, problem.information_of(relaxation.weights), weighted)
+    searched = best_candidates(setting, gathered_by(problem, relaxation.weights), weighted)
     starts = {"relaxed": np.sort(heaviest)}
     if len(searched.index) < searched.n_all:
         starts["best"] = np.flatnonzero(best.chosen)

@@ -15,6 +15,9 @@ A concave function lies below its tangents. At any weights w, with g_k = d(log p
     phi(w') / phi(w)  <=  1 + sum_k g_k (w'_k - w_k)  <=  1 + (sum of the m largest g_k) - sum_k g_k w_k  =  1 + gap(w)
 
 So every w proves a bound, even the weights of a choice, or weights that have not converged. The least bound is used.
+phi(c K) = c phi(K), so that phi(K') <= trace(phi'(K) K') for every K: weights need not determine all directions, if a
+tiny part of the identity is added to K (`gathered_by`). The best weights for a task leave out what it does not need,
+such as the zero of an encoder.
 (The squares of O3, the smallest eigenvalue, and of O5 are concave, too; no bound is computed for them.)
 
 Kinds. If m_g candidates of each kind g are to be chosen, each kind has its own sum, and its own m_g largest slopes.
@@ -38,6 +41,7 @@ from calib.planning.selection_problem import TASK, SelectionProblem
 
 CERTIFIED = ("O1", TASK)
 """Indices with a bound."""
+_LEAST = 1e-12  # information added in each direction, of what all candidates have there
 _CLOSE_ENOUGH = 2e-5  # gap of the relaxation at which to stop: 0.001 % of the index
 _UNCLEAR = 110  # candidates in one run of the interior-point method
 _ROUNDS = 12
@@ -76,7 +80,7 @@ def relax(
     counts = np.bincount(kinds[chosen], minlength=int(np.max(kinds)) + 1)
     lowest = np.inf
     for _ in range(_ROUNDS):
-        gathered = problem.information_of(weights)
+        gathered = gathered_by(problem, weights)
         slope = np.where(usable, slopes(problem, index, gathered), -np.inf)
         used = np.flatnonzero(weights)
         gap = float(sum(np.sum(slope[best]) for best in largest(slope, kinds, counts)) - slope[used] @ weights[used])
@@ -88,8 +92,13 @@ def relax(
         fixed[unclear] = 0.0
         left = (counts - np.bincount(kinds, fixed, minlength=len(counts))).astype(float)
         weights = fixed.copy()
-        weights[unclear] = _interior_point(problem, index, unclear, problem.information_of(fixed), kinds[unclear], left)
+        weights[unclear] = _interior_point(problem, index, unclear, gathered_by(problem, fixed), kinds[unclear], left)
     return Relaxation(lowest, weights)
+
+
+def gathered_by(problem: SelectionProblem, weights: FloatArray) -> FloatArray:
+    """Return K of weights (n_candidates,), and a little information in every direction, (r, r)."""
+    return problem.information_of(weights) + _LEAST * np.eye(len(problem.strengths))
 
 
 def largest(slope: FloatArray | IntArray, kinds: IntArray, counts: IntArray) -> list[IntArray]:

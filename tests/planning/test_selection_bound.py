@@ -115,3 +115,17 @@ def test_many_candidates_are_certified_by_few_unclear_ones():
     relaxed = relax(problem, "O1", done.chosen, space.usable)
     reached = log_phi(problem, "O1", problem.information_of(done.chosen.astype(float)))
     assert np.exp(0.5 * (reached - relaxed.log_bound)) > 0.999
+
+
+def test_the_task_is_bounded_although_the_best_weights_leave_out_what_it_does_not_need():
+    rng, free = np.random.default_rng(2), np.eye(D + 1)
+    rows = np.concatenate([rng.standard_normal((N, 3, D)), np.zeros((N, 3, 1))], axis=2)
+    rows = np.concatenate([rows, np.tile(1e-3 * free[D:], (2, 3, 1))])  # two readings of a zero that the task lacks
+    problem = build_problem(rows, task_rows=rows[:N])
+    determined = mask_of([*range(COUNT), N], N + 2)
+    bound = relax(problem, TASK, determined, np.ones(N + 2, dtype=bool)).log_bound
+    alone = build_problem(rows[:N, :, :D], task_rows=rows[:N, :, :D])
+    best = max(
+        log_phi(alone, TASK, alone.information_of(mask_of(c).astype(float))) for c in combinations(range(N), COUNT + 1)
+    )
+    assert best <= bound <= best + 0.3

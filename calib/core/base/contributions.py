@@ -69,7 +69,7 @@ class Contribution(Enum):
     FRAME = (
         "frame",
         "positions are in a base frame that is fitted to them; the uncertainty of this frame does not count",
-        "rows.reported_uncertainty",
+        "rows.frames",
         (Uncertainty.POSITION,),
     )
     LEFT_OUT = (

@@ -25,8 +25,8 @@ from calib.core.fitting.unexplained import UnexplainedErrors, noise_beside, unex
 from calib.core.numerics.statistics import Statistics
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.terms.term import Context
+from calib.core.rows.frames import ReportedUncertainty
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UndecidedTerms
-from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -16,7 +16,7 @@ from calib.core.judging.error_budget import ENOUGH_REPEATS
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.row_derivatives import has_time, scales
 from calib.core.judging.rules_reach import terms_beyond
-from calib.core.rows.reported_uncertainty import ReportedUncertainty
+from calib.core.rows.frames import ReportedUncertainty
 
 NO_MATTER = 0.25
 """A message leaves out an unseen scale error if its effect is below this part of the noise."""

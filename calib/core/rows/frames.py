@@ -18,13 +18,18 @@ the measurement frame, all parameters count. For a program in the measurement fr
 For a program in the robot's own base frame, the common motion that follows d is subtracted. The stated covariance is
 that of J' d. It counts the noise of the measurements and the priors of undetermined combinations, as far as a position
 in this frame depends on them.
+
+The frame of a report. If an instrument stands at a known place, this is the measurement frame. Otherwise readings may
+hardly determine the places of base and instruments. Distances from unknown points, for example, leave the place of the
+base to its priors, with an uncertainty of millimetres, although no motion of the robot is that uncertain. Then
+positions are reported in the robot's own base frame, placed where predicted and true positions agree best over the
+measured poses. The place of the target on its link counts in either frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property, partial
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -40,7 +45,73 @@ from calib.core.rows.gauge import nearest_to_nominal, poses_around_home
 from calib.core.rows.known_robot import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UncertaintyJacobian
 
+OWN_FRAME = "in the robot's own base frame, because no instrument stands at a known place"
+"""Name of the frame of the report if it is not the measurement frame."""
 _MOST = 400  # poses over which robots are aligned
+
+
+@dataclass(frozen=True, eq=False)
+class ReportedUncertainty(ReadOnlyArrays):
+    """A calibrated robot and its uncertainty in a frame.
+
+    Attributes:
+        motion: The common motion that does not count; None where all counts, in the measurement frame.
+        counts: Mask of the free parameters that move positions in this frame, (n_free,); all if not given.
+    """
+
+    robot: Robot
+    uncertainty: ParameterUncertainty
+    motion: CommonMotion | None
+    counts: BoolArray | None = None
+
+    @staticmethod
+    @one_blas_thread
+    def from_robot(robot: Robot, uncertainty: ParameterUncertainty, joints: FloatArray) -> ReportedUncertainty:
+        """Return the reported uncertainty of a robot calibrated at commands `joints`, (n, n_actuated) [m or rad]."""
+        loose = replace(UnknownPlaces.from_robot(robot), points=(), frames=())
+        if not loose.base:
+            return ReportedUncertainty(robot, uncertainty, None)
+        motion = CommonMotion.from_robots(robot, robot, loose, _poses_of_agreement(robot, robot, joints))
+        return ReportedUncertainty(robot, uncertainty, motion if motion.basis.size else None)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A sentence on the frame of the report, if it is not the measurement frame."""
+        return () if self.motion is None else (f"the uncertainty of predicted positions is given {OWN_FRAME}",)
+
+    def predict(
+        self, q: FloatArray, context: Context | None = None, near: FloatArray | None = None, *, turns: bool = True
+    ) -> PositionUncertainty:
+        """Predict positions in the measurement frame, with their covariance in this frame.
+
+        Args:
+            q: Commands, (n_poses, n_actuated) [m or rad].
+            context: Conditions of the commands; joint terms may depend on them.
+            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+            turns: Whether to compute the covariance of the orientations as well.
+
+        Raises:
+            UnreachablePoseError: A loop stays open.
+        """
+        counts = None if self.counts is None else self.uncertainty.counting(self.robot, self.counts)
+        common = None if self.motion is None else self._common
+        known = self.uncertainty.predict(self.robot, q, context, near, turns=turns, counts=counts, common=common)
+        if common is None:
+            return known
+        return replace(known, frame=OWN_FRAME, contains=known.contains | {Contribution.FRAME})
+
+    @cached_property
+    def _following(self) -> FloatArray:
+        """Derivative of the common motion z by the uncertain quantities, (k, n_uncertain)."""
+        assert self.motion is not None
+        joints = self.motion.joints
+        linear = self.uncertainty.linearise(self.robot, joints, Context.neutral(*joints.shape))
+        return self.motion.following(linear.jacobian) * self.uncertainty.lasting(self.robot)
+
+    def _common(self, linear: UncertaintyJacobian) -> FloatArray:
+        """Derivative of the common motion of each target, (n, n_targets, 6, n_uncertain)."""
+        assert self.motion is not None
+        return self.motion.columns(*target_poses(linear.robot, linear.configurations)) @ self._following
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,21 +159,16 @@ class CorrectionFrame(ReadOnlyArrays):
         Raises:
             UnreachablePoseError: A loop stays open.
         """
-        uncertainty = self.known.uncertainty
-        if uncertainty is None:
-            positions = target_poses(self.robot, self.robot.assemble(q, context=context))[0]
-            unknown = np.full((*positions.shape, 3), np.nan)
-            return PositionUncertainty(positions, unknown, np.nan, unknown, self.robot.unreported_targets)
-        counts = uncertainty.counting(self.robot, self.counts)
-        predicted = uncertainty.predict(self.robot, q, context, counts=counts, common=self._common)
-        return PositionUncertainty(
-            predicted.positions,
-            predicted.covariance,
-            predicted.coverage_factor,
-            predicted.turn_covariance,
-            self.robot.unreported_targets,
-            contains=self.contains,
-        )
+        if self._reported is not None:
+            return self._reported.predict(q, context)
+        positions = target_poses(self.robot, self.robot.assemble(q, context=context))[0]
+        unknown = np.full((*positions.shape, 3), np.nan)
+        return PositionUncertainty(positions, unknown, np.nan, unknown, self.robot.unreported_targets)
+
+    @cached_property
+    def _reported(self) -> ReportedUncertainty | None:
+        known = self.known.uncertainty
+        return None if known is None else ReportedUncertainty(self.robot, known, self.motion, self.counts)
 
     def uncorrected_errors(self, q: FloatArray, context: Context) -> FloatArray:
         """Return the errors of positions [m] and turns [rad] that the fit found but that are not corrected.
@@ -122,30 +188,6 @@ class CorrectionFrame(ReadOnlyArrays):
             return np.zeros(shape)
         linear = linearise(self.robot, self.robot.assemble(q, context=context), turns=True)
         return np.asarray(linear.jacobian[..., uncertainty.free][..., self.counts] @ left)
-
-    @cached_property
-    def _common(self) -> Callable[[UncertaintyJacobian], FloatArray] | None:
-        """The common motion that follows errors of uncertain parameters; None where all counts."""
-        if self.motion is None or self.known.uncertainty is None:
-            return None
-        return following_motion(self.motion, self.robot, self.known.uncertainty)
-
-
-def following_motion(
-    motion: CommonMotion, robot: Robot, uncertainty: ParameterUncertainty
-) -> Callable[[UncertaintyJacobian], FloatArray]:
-    """Return a function that gives the derivative of the common motion by the uncertain parameters.
-
-    The derivative is that of each target's motion, (n, n_targets, 6, n_uncertain).
-    """
-    linear = uncertainty.linearise(robot, motion.joints, Context.neutral(*motion.joints.shape))
-    following = motion.following(linear.jacobian) * uncertainty.lasting(robot)
-    return partial(_common, motion, following)
-
-
-def _common(motion: CommonMotion, following: FloatArray, linear: UncertaintyJacobian) -> FloatArray:
-    """Derivative of the common motion by the uncertain quantities, (n, n_targets, 6, n_uncertain)."""
-    return motion.columns(*target_poses(linear.robot, linear.configurations)) @ following
 
 
 def as_described(robot: Robot) -> Robot:
@@ -200,12 +242,12 @@ def _is_of_robot(known: KnownRobot) -> BoolArray:
 
 def _align_nominal(nominal: Robot, robot: Robot, loose: UnknownPlaces, known: KnownRobot) -> CommonMotion:
     """The nominal robot aligned with the calibrated one over the measured poses."""
-    return CommonMotion.from_robots(nominal, robot, loose, poses_of_agreement(known, nominal))
+    return CommonMotion.from_robots(nominal, robot, loose, _poses_of_agreement(nominal, known.robot, known.joints))
 
 
-def poses_of_agreement(known: KnownRobot, nominal: Robot) -> FloatArray:
-    """Return the poses over which the nominal and the calibrated robot are aligned, (n, n_actuated) [m or rad]."""
-    measured = np.unique(known.joints, axis=0)
-    chosen = measured[np.unique(np.linspace(0, len(measured) - 1, _MOST).astype(np.intp))] if len(measured) else None
-    joints = poses_around_home(nominal) if chosen is None else chosen
-    return np.asarray(joints[nominal.close(joints).ok & known.robot.close(joints).ok])
+def _poses_of_agreement(nominal: Robot, robot: Robot, joints: FloatArray) -> FloatArray:
+    """Some of the measured poses `joints` that both robots can assemble, else poses around home, (n, n_actuated)."""
+    measured = np.unique(joints, axis=0)
+    some = measured[np.unique(np.linspace(0, len(measured) - 1, _MOST).astype(np.intp))] if len(measured) else None
+    chosen = poses_around_home(nominal) if some is None else some
+    return np.asarray(chosen[nominal.close(chosen).ok & robot.close(chosen).ok])

@@ -25,10 +25,9 @@ from calib.core.base.errors import ComputationError
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import Readings
 from calib.core.numerics.chances import UNLIKELY
-from calib.core.numerics.identifiability import reduce_rows
+from calib.core.numerics.identifiability import MANY_COLUMNS, reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE, LeastSquaresSolution, minimise
 from calib.core.numerics.linear_model import LinearModel, RowGroups
-from calib.core.numerics.linear_point import RowStack
 from calib.core.numerics.mixed_rows import SeenColumns
 from calib.core.robots.configurations import Configurations, close, configurations_if_closed, describe_open
 from calib.core.robots.joint_errors import term_columns
@@ -347,13 +346,16 @@ class _SolverRows:
         evaluation = self._evaluation(w)
         if evaluation is None:
             return np.full(self._n_rows, np.nan)
-        problem, residuals = self._problem, self._problem.residuals(evaluation, self._groups)
-        if self._weights is not None:
-            residuals *= np.sqrt(self._weights)[problem.whitening.layout.reading]
-        return np.concatenate([residuals, self._prior.times(w)])
+        return np.concatenate([self._weighted_residuals(evaluation), self._prior.times(w)])
 
-    def jacobian(self, w: FloatArray) -> RowStack:
-        """Return the derivative of the residuals by w, (n_rows, n_variables), and make w the current point."""
+    def _weighted_residuals(self, evaluation: Evaluation) -> FloatArray:
+        residuals = self._problem.residuals(evaluation, self._groups)
+        if self._weights is not None:
+            residuals *= np.sqrt(self._weights)[self._problem.whitening.layout.reading]
+        return residuals
+
+    def jacobian(self, w: FloatArray) -> LinearModel:
+        """Return the linear model at w (n_variables,), and make w the current point."""
         evaluation = self._evaluation(w)
         if evaluation is None:  # derivatives are requested only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
@@ -363,11 +365,13 @@ class _SolverRows:
         problem, groups, unknowns = self._problem, self._groups, self._unknowns
         rows = problem.derivative(evaluation, groups, unknowns, self._weights)
         rows = rows if self._seen is None else self._seen.combine(rows)
-        if self._weights is not None or self._seen is not None:
-            return RowStack(rows, self._prior)
-        if unknowns is problem.unknowns:
-            evaluation.keep_whitened(groups, unknowns, rows)
-        return RowStack(rows, self._prior, lambda: problem.compressed(evaluation, groups, unknowns, rows).factor)
+        model = LinearModel(self._weighted_residuals(evaluation), rows, self._prior, w)
+        if self._weights is None and self._seen is None:
+            if unknowns is problem.unknowns:
+                evaluation.keep_whitened(groups, unknowns, rows)
+            if len(w) < MANY_COLUMNS:
+                model.remember(problem.compressed(evaluation, groups, unknowns, rows).factor)
+        return model
 
 
 def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray]:

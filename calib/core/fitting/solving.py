@@ -1,7 +1,7 @@
 """From placed base and targets to the minimum, with unstated noise found on the way.
 
 Where the noise of an instrument is not stated, it is found from the residuals
-(`calib.core.numerics.variance_components`): the solve is repeated until noise changes by less than one percent.
+(`calib.core.numerics.size_search`): the solve is repeated until noise changes by less than one percent.
 Where priors are weighed against stated noise, the errors that the model leaves out count too: for a robot with gear
 errors, the noise of a good tracker is the least part. With a statement that residuals contradict, priors would pull
 parameters hundreds of sigmas away from their expected values, and slowly, along bent valleys. So the noise of such a
@@ -23,7 +23,6 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.core.base.workers import Progress
 from calib.core.fitting.curvature import mean_square_beyond_linear
-from calib.core.fitting.found_noise import scales_found
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.fitting.robust import RobustSolution, solve_robust
 from calib.core.fitting.settings import Settings
@@ -33,7 +32,9 @@ from calib.core.numerics.chances import EXACT, HARDLY
 from calib.core.numerics.clusters import Scatter, scatter
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE
+from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior_sizes import variance_by_sizes
+from calib.core.numerics.size_search import find_sizes
 from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, find_factors, statistics
 from calib.core.numerics.tall import Span
 from calib.core.robots.robot import Robot
@@ -221,6 +222,27 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> R
             groups = scales
             problem = replace(problem, unknowns=problem.unknowns.rescale_families(sizes))
     raise NotConvergedError(_NO_NOISE)
+
+
+def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Find the scales of the groups `noise_found`, and factors on the sigmas of families, from the residuals.
+
+    Args:
+        evaluation: An evaluation near the minimum, whose linear model counts.
+        groups: Scales to start from, (n_groups,).
+
+    Returns:
+        Scales of the groups (n_groups,), factors of the families (n_families,).
+    """
+    unknowns = problem.unknowns
+    first = [int(np.argmax(unknowns.family == k)) for k in range(len(unknowns.families))]
+    sizes = unknowns.scales[first] / problem.robot.parameters.sigma_si[unknowns.index[first]]
+    if len(sizes):
+        model: LinearModel = problem.rows(evaluation, groups, unknowns.rescale_families(1.0 / sizes))
+    else:
+        model = problem.compressed(evaluation, groups, unknowns)
+    scales, found = find_sizes(model, problem.noise_found, unknowns.family, sizes)
+    return np.maximum(groups * scales, EXACT / 10), found / sizes
 
 
 def release_contradicted_noise(

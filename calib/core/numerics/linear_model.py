@@ -11,7 +11,7 @@ Unknowns are scaled, u = (p - p_expected) / s; d is their change from the point.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
@@ -51,13 +51,14 @@ class LinearModel:
         residuals: r, (n_rows,).
         jacobian: J, by the scaled free parameters, (n_rows, n_free).
         deviations: u at this point, (n_free,).
+        layout: Groups of the rows, where noise is to be found.
     """
 
     residuals: FloatArray
     jacobian: FloatArray
     prior: Prior
     deviations: FloatArray
-    layout: RowGroups
+    layout: RowGroups = field(default_factory=lambda: RowGroups.from_groups(np.zeros(0, dtype=np.intp), 0))
 
     @cached_property
     def factor(self) -> FloatArray:
@@ -87,6 +88,15 @@ class LinearModel:
     def span(self) -> Span:
         """U = J T of these rows, with T of `posterior_information`, (n_rows, rank)."""
         return Span(self.jacobian, self.posterior_information.root)
+
+    def times(self, column: FloatArray) -> FloatArray:
+        """Return J above the rows P of the prior, times a column (n_free,), (n_rows + n_priors,)."""
+        return np.concatenate([self.jacobian @ column, self.prior.times(column)])
+
+    def transposed_product(self, column: FloatArray) -> FloatArray:
+        """Return the transpose of J above P, times a column (n_rows + n_priors,), (n_free,)."""
+        n_rows = len(self.jacobian)
+        return np.asarray(self.jacobian.T @ column[:n_rows] + self.prior.rows.T @ column[n_rows:])
 
     def step(self, residuals: FloatArray | None = None) -> FloatArray:
         """Return the step d to the minimum, (n_free,), with other residuals (n_rows,) if given."""

@@ -66,9 +66,8 @@ from calib.core.base.errors import InputError, nearest
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.clusters import blocks_of_equal_length
-from calib.core.numerics.statistics import Factors
+from calib.core.numerics.statistics import Factors, require_freedom
 from calib.core.numerics.tall import Span
-from calib.core.numerics.variance_components import require_freedom
 
 Loss = Literal["none", "huber", "cauchy", "tukey"]
 LOSSES: tuple[Loss, ...] = get_args(Loss)

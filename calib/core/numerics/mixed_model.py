@@ -300,6 +300,11 @@ class SolvedModel(ReadOnlyArrays):
         times = np.bincount(group)[moved] / np.maximum(left[moved], 0.5)
         return float(np.sqrt(np.min(times * squares[moved] / spread[moved], initial=np.inf)))
 
+    @property
+    def freedom_left(self) -> float:
+        """Degrees of freedom of the residuals of all rows."""
+        return float(np.sum(self.model.rows.stands_for - self._leverage))
+
     def freedom(self, families: IntArray) -> float:
         """Return how many coefficients of some families (k,) the rows decide."""
         return float(np.sum((1.0 - self._unseen_part)[np.isin(self.model.family[self.seen], families)]))

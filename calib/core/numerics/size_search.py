@@ -39,18 +39,22 @@ from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.mixed_rows import FLAT, MixedRows, SeenColumns
+from calib.core.numerics.statistics import require_freedom
 
 _LEAST = -6.0  # logarithm of the least size of a family
 _MOST = 4.0
 _LEAST_PART = 1e-3  # least noise and scatter, over what would explain all residuals
-_LEAST_ALONE = 1e-5  # the same of noise where nothing scatters: all that families leave is noise then
+_LEAST_ALONE = 1e-10  # the same of noise where nothing scatters: all that families leave is noise then
 _SMALL = 0.1  # a falling size is set to its bound below this part of the start of the search
 _AT_BOUND = 1e-9  # difference of a logarithm from its bound
+_OTHERS = 3.0  # difference of logarithms between the largest noise and what the flat columns leave of its rows alone
 _LEAST_FREEDOM = 1e-6  # of a group whose rows flat columns explain but for rounding
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
-_CONVERGED = 0.03  # sizes are found if twice the cost changes less with their logarithms
+_CONVERGED = 0.03  # last step of the logarithm of a noise
+_FLAT_COST = 1e-6  # largest slope of a cost that no longer falls
 _GAIN = 5e-4  # least fall of the cost for which a search continues, if not given
+_FINE_GAIN = 1e-8  # the same of a search of noise alone, whose steps are quick
 _NEAR = 1.0  # after a smaller fall of the cost, the same columns have coefficients
 _ROUNDS = 80
 
@@ -70,13 +74,13 @@ def likeliest_sizes(
     if absent is not None:
         none[: len(absent)] = absent
         bounds = replace(bounds, least=np.where(none, -np.inf, bounds.least))
-    begin = np.maximum(bounds.first if start is None else start, bounds.least)
+    begin = np.clip(bounds.first if start is None else start, bounds.least, bounds.most)
     at = model.solve(np.where(none, bounds.least, begin))
     damping, gain = 1e-3, np.inf
     for _ in range(_ROUNDS):
         gradient = at.gradient + _slope(at)
         free = ~(none | ((at.logs <= bounds.least + _AT_BOUND) & (gradient > 0.0)))
-        if not np.any(free) or np.max(np.abs(gradient[free])) < _CONVERGED / 2.0:
+        if np.max(np.abs(gradient[free]), initial=0.0) < _FLAT_COST:
             break
         information = at.average_information + np.diag(_curvature(at))
         seen = at.seen if gain < _NEAR else None  # the cost is not smooth where these change
@@ -106,10 +110,13 @@ def find_sizes(
         model: The rows, whitened by the noise as far as it is known.
         sought: Mask of the groups whose scales are to be found, (n_groups,); the others have the scale 1.
         family: Family of each parameter, -1 for none, (n_free,).
-        sizes: Sizes to start from, over the expected ones, (n_families,).
+        sizes: Sizes to start from, over the expected ones, (n_families,); empty where there are no families.
 
     Returns:
         Scales of the groups (n_groups,), and sizes (n_families,).
+
+    Raises:
+        NotIdentifiableError: No degrees of freedom are left.
     """
     seen, counts = SeenColumns.from_rows(model.jacobian, model.prior, family), model.layout.counts
     columns, groups = seen.combine(model.jacobian), np.arange(len(counts))
@@ -122,8 +129,11 @@ def find_sizes(
     none = np.zeros((len(rows), 0))
     every = MixedRows.from_linear_problem(linear, seen.family, ~sought, np.arange(len(rows)), none)
     mixed = MixedModel.from_rows(replace(every, present=np.arange(len(sizes))))
+    require_freedom(float(np.sum(counts)) - np.count_nonzero(mixed.family == FLAT), int(np.sum(counts)))
     begin = np.append(np.log(sizes), np.zeros(np.count_nonzero(sought)))
-    found, noise, _ = mixed.sizes(likeliest_sizes(mixed, begin).logs)
+    at = likeliest_sizes(mixed, begin, least_gain=_GAIN if len(sizes) else _FINE_GAIN)
+    found, noise, _ = mixed.sizes(at.logs)
+    require_freedom(at.freedom_left, int(np.sum(counts)))
     return noise, found
 
 
@@ -229,7 +239,7 @@ class _Bounds(ReadOnlyArrays):
     Attributes:
         least: A value that is as good as zero.
         most: For a family much more than expected; for scatter the value that explains all that flat columns leave;
-            for noise too, by the rows less the flat columns.
+            for noise too, by the rows less the flat columns, or more where other groups may decide these columns.
     """
 
     least: FloatArray
@@ -249,6 +259,7 @@ class _Bounds(ReadOnlyArrays):
         most = 0.5 * np.log(np.array(squares) + _NOTHING)
         families = np.ones(model.n_families)
         least = most + np.log(_LEAST_PART if model.scatters else _LEAST_ALONE)
+        most += 0.0 if model.scatters else _OTHERS
         return _Bounds(np.append(_LEAST * families, least), np.append(_MOST * families, most))
 
     @property

@@ -48,13 +48,13 @@ import scipy
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, hold
+from calib.core.base.errors import NotIdentifiableError
 from calib.core.base.threads import one_blas_thread
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import Scatter
 from calib.core.numerics.observability import Information
 from calib.core.numerics.prior import Prior
 from calib.core.numerics.tall import Span, slices, squares_of_rows
-from calib.core.numerics.variance_components import require_freedom
 
 DECIDED_BY_DATA = 0.9
 """`identified`: the data remove at least this share of a parameter's expected variance; `prior`: at most 1 - this."""
@@ -238,6 +238,15 @@ def prior_directions(known: Information, prior: Prior) -> tuple[FloatArray, Floa
 def effective_parameters(known: Information, prior: Prior) -> float:
     """Return n_eff of the module docstring, the number of parameters that the rows decide and not the priors."""
     return float(known.root.shape[1] - np.trace(prior_shares(known, prior)))
+
+
+def require_freedom(freedom: float, n_rows: int) -> None:
+    """Raise `NotIdentifiableError` unless n_rows measured values leave at least one degree of freedom."""
+    if freedom < 1 - 1e-9:
+        raise NotIdentifiableError(
+            f"{n_rows} measured values for {n_rows - max(freedom, 0.0):.0f} parameters: too few to find the"
+            " uncertainty of the result. Measure more poses"
+        )
 
 
 def find_factors(

@@ -57,12 +57,6 @@ class NoiseFound:
 
 def noise_found(fit: Fit) -> list[NoiseFound]:
     """Return the noise of each group of rows; its quantity is named if there are several."""
-    several = {
-        (instrument.group, part.name)
-        for instrument in fit.nominal.instruments
-        for part in instrument.parts
-        if len(part.axes) > 1
-    }
     lines = []
     for noise in fit.noise:
         unit, scale = error_unit(noise.group.part.dimension)
@@ -72,7 +66,7 @@ def noise_found(fit: Fit) -> list[NoiseFound]:
                 scale * noise.sigma,
                 None if noise.stated is None else scale * noise.stated,
                 unit,
-                " per axis" if (noise.group.name, noise.group.part.name) in several else "",
+                " per axis" if len(noise.group.part.axes) > 1 else "",
                 noise.freedom,
             )
         )

@@ -329,43 +329,46 @@ class _SolverRows:
             self._seen = SeenColumns.from_rows(rows, unknowns.prior, unknowns.family, _UNSEEN)
             self.begin, self._prior = self._seen.combine(first), self._seen.prior
             self._others = first - self._seen.coefficients(self.begin)
-        self._looked_at: list[tuple[FloatArray, Evaluation | None]] = [(self.begin, start)]
-        self._n_rows = problem.whitening.layout.n_rows + len(self._prior.rows)
+        self._looked_at: list[tuple[FloatArray, Evaluation | None, FloatArray]] = [
+            (self.begin, start, self._values(self.begin, start))
+        ]
 
-    def _evaluation(self, w: FloatArray) -> Evaluation | None:
-        for known, evaluation in self._looked_at:
+    def _look_at(self, w: FloatArray) -> tuple[Evaluation | None, FloatArray]:
+        """Evaluation at w (n_variables,), None where a loop opens, and all residuals, (n_rows,)."""
+        for known, evaluation, values in self._looked_at:
             if np.array_equal(known, w):
-                return evaluation
+                return evaluation, values
         u = w if self._seen is None else self._others + self._seen.coefficients(w)
         evaluation = self._problem.evaluate_if_closed(self._unknowns.robot_at(self.current.robot, u), self.current)
-        self._looked_at = [*self._looked_at, (w, evaluation)][-_TRIALS:]
-        return evaluation
+        values = self._values(w, evaluation)
+        self._looked_at = [*self._looked_at, (w, evaluation, values)][-_TRIALS:]
+        return evaluation, values
+
+    def _values(self, w: FloatArray, evaluation: Evaluation | None) -> FloatArray:
+        layout = self._problem.whitening.layout
+        if evaluation is None:
+            return np.full(layout.n_rows + len(self._prior.rows), np.nan)
+        residuals = self._problem.residuals(evaluation, self._groups)
+        if self._weights is not None:
+            residuals *= np.sqrt(self._weights)[layout.reading]
+        return np.concatenate([residuals, self._prior.times(w)])
 
     def residuals(self, w: FloatArray) -> FloatArray:
         """Return all residuals at w (n_variables,), ending with the priors' rows, (n_rows,); NaN where a loop opens."""
-        evaluation = self._evaluation(w)
-        if evaluation is None:
-            return np.full(self._n_rows, np.nan)
-        return np.concatenate([self._weighted_residuals(evaluation), self._prior.times(w)])
-
-    def _weighted_residuals(self, evaluation: Evaluation) -> FloatArray:
-        residuals = self._problem.residuals(evaluation, self._groups)
-        if self._weights is not None:
-            residuals *= np.sqrt(self._weights)[self._problem.whitening.layout.reading]
-        return residuals
+        return self._look_at(w)[1]
 
     def jacobian(self, w: FloatArray) -> LinearModel:
         """Return the linear model at w (n_variables,), and make w the current point."""
-        evaluation = self._evaluation(w)
+        evaluation, values = self._look_at(w)
         if evaluation is None:  # derivatives are requested only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
         if evaluation is not self.current:
             self.current.whitened.clear()  # it takes memory, as the other points do
-        self.current, self._looked_at = evaluation, [(w, evaluation)]
+        self.current, self._looked_at = evaluation, [(w, evaluation, values)]
         problem, groups, unknowns = self._problem, self._groups, self._unknowns
         rows = problem.derivative(evaluation, groups, unknowns, self._weights)
         rows = rows if self._seen is None else self._seen.combine(rows)
-        model = LinearModel(self._weighted_residuals(evaluation), rows, self._prior, w)
+        model = LinearModel(values[: len(rows)], rows, self._prior, w)
         if self._weights is None and self._seen is None:
             if unknowns is problem.unknowns:
                 evaluation.keep_whitened(groups, unknowns, rows)

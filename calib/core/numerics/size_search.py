@@ -131,9 +131,12 @@ def find_sizes(
     mixed = MixedModel.from_rows(replace(every, present=np.arange(len(sizes))))
     require_freedom(float(np.sum(counts)) - np.count_nonzero(mixed.family == FLAT), int(np.sum(counts)))
     begin = np.append(np.log(sizes), np.zeros(np.count_nonzero(sought)))
+    if not len(sizes):
+        squares, freedom = mixed.solve(begin).squares_and_freedom
+        begin = 0.5 * np.log((squares + _NOTHING) / np.maximum(freedom, _LEAST_FREEDOM))[sought]
     at = likeliest_sizes(mixed, begin, least_gain=_GAIN if len(sizes) else _FINE_GAIN)
     found, noise, _ = mixed.sizes(at.logs)
-    require_freedom(at.freedom_left, int(np.sum(counts)))
+    require_freedom(float(np.sum(at.squares_and_freedom[1])), int(np.sum(counts)))
     return noise, found
 
 

@@ -145,7 +145,7 @@ def _with_terms(
     elif terms == "auto":
         first = replace(settings, starts=1)
         minimum = minimum_of(robot, first, data, validation, steps=steps)
-        choice = size_terms(fit_at(minimum, first, steps=steps, nearby=WarmStart.without_intervals(robot)))
+        choice = size_terms(fit_at(minimum, first, steps=steps))
         steps.advance()
         if choice.sections == described:
             return robot, choice, minimum, None

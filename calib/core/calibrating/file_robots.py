@@ -84,7 +84,7 @@ def _refit(
     workers: Executor | None = None,
     signs: FloatArray | None = None,
     *,
-    intervals: bool = True,
+    ranks: bool = True,
 ) -> Fit:
     """Fit another robot to the measurements of a fit, with the same options.
 
@@ -92,12 +92,10 @@ def _refit(
         settings: Options of the fit.
         workers: Workers for the fits of other starts and of folds.
         signs: Sign of each joint value, (n_actuated,).
-        intervals: Whether its intervals are used.
+        ranks: Whether ranks of held parameters are used.
     """
     data, validation = fit.identification.data, None if fit.validation is None else fit.validation.data
-    nearby = WarmStart.from_fit(fit)
-    if not intervals:
-        nearby = replace(WarmStart.without_intervals(robot, fit), free_alone=True)
+    nearby = replace(WarmStart.from_fit(fit), free_alone=not ranks)
     if signs is not None and np.any(signs < 0):
         data = replace(data, joints=signs * data.joints)
         validation = None if validation is None else replace(validation, joints=signs * validation.joints)
@@ -148,7 +146,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
         return None if fitted is None else file_robot(fitted)
 
     def _refit(self, robot: Robot, signs: FloatArray | None = None) -> Fit:
-        return _refit(self._fit, robot, replace(self._settings, starts=1), signs=signs, intervals=False)
+        return _refit(self._fit, robot, replace(self._settings, starts=1), signs=signs, ranks=False)
 
     def _to_last_axis(self) -> FileRobot | None:
         """The robot with nominal origins behind the last axis."""

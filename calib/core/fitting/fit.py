@@ -20,7 +20,7 @@ When it fails. Fewer coordinates than unknowns, or columns that the poses cannot
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,7 +41,6 @@ from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import convergence_at, place, reset_unseen, reuse_placement, solve_from, uncertainty_at
 from calib.core.numerics import linalg
 from calib.core.numerics.observability import observability
-from calib.core.numerics.statistics import BeyondLinear
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.rows.determination import Determination
@@ -54,8 +53,6 @@ class WarmStart:
     """Start values from a fit for other fits of its visits, or of a part of them.
 
     Attributes:
-        names: Parameters, (n,).
-        beyond_linear: `Statistics.beyond_linear` of these; 0 where no intervals are requested, None if unknown.
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
         placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]
@@ -64,8 +61,6 @@ class WarmStart:
         free_alone: Whether ranks of held parameters are not used.
     """
 
-    names: tuple[str, ...] = ()
-    beyond_linear: BeyondLinear | None = None
     joints: FloatArray | None = None
     passive: FloatArray | None = None
     placed: tuple[Robot, Mapping[str, FloatArray]] | None = None
@@ -75,24 +70,8 @@ class WarmStart:
     @staticmethod
     def from_fit(fit: Fit) -> WarmStart:
         """Return the start values from this fit."""
-        known, seen = (fit.free_names, fit.statistics.beyond_linear), fit.identification
-        return WarmStart(*known, seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
-
-    @staticmethod
-    def without_intervals(robot: Robot, fit: Fit | None = None) -> WarmStart:
-        """Return start values for a fit of this robot for its values alone, from another fit if given."""
-        names = tuple(parameter.name for parameter in robot.parameters)
-        nothing = BeyondLinear(partial(np.zeros, len(names)))
-        start = WarmStart() if fit is None else WarmStart.from_fit(fit)
-        return replace(start, names=names, beyond_linear=nothing)
-
-    def second_order(self, names: Sequence[str]) -> BeyondLinear | None:
-        """Return `beyond_linear` of some parameters; None if it is unknown for any of them."""
-        place, known = {name: k for k, name in enumerate(self.names)}, self.beyond_linear
-        if known is None or not place.keys() >= set(names):
-            return None
-        chosen = [place[name] for name in names]
-        return BeyondLinear(lambda: known.values[chosen])
+        seen = fit.identification
+        return WarmStart(seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
 
     def passive_at(self, q: FloatArray) -> FloatArray | None:
         """Passive joints near those of visits q (n, n_actuated), (n, n_passive); NaN where unknown, None if all are."""
@@ -148,7 +127,7 @@ def fit_data(
             `calib.core.calibrating.calibrate.calibrate`.
     """
     minimum = minimum_of(robot, settings, data, validation, workers, steps, nearby)
-    return fit_at(minimum, settings, validation, steps, nearby)
+    return fit_at(minimum, settings, validation, steps)
 
 
 def minimum_of(
@@ -185,13 +164,11 @@ def fit_at(
     settings: Settings,
     validation: Measurements | None = None,
     steps: Steps | None = None,
-    nearby: WarmStart | None = None,
 ) -> Fit:
     """Return the fit that ends at a minimum; see `fit_data`."""
     robot, later, start, solved = minimum.robot, minimum.validation_only, minimum.start, minimum.solved
     problem, final = solved.problem, solved.evaluation
-    second_order = None if nearby is None else nearby.second_order(problem.unknowns.names)
-    rows, scales, uncertainty = uncertainty_at(solved, second_order)
+    rows, scales, uncertainty = uncertainty_at(solved)
     placed, calibrated = start.robot, final.robot
     if validation is not None and later:
         placed, calibrated = (place_from_data(validation, state.free(*later), later) for state in (placed, calibrated))
@@ -231,7 +208,7 @@ def fit_at(
 
 def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements | None], Fit]:
     """Return a function that fits a part of the measurements of a fit and predicts the rest, from one start."""
-    nearby = replace(WarmStart.without_intervals(fit.nominal, fit), placed=None)  # a part has its own placement
+    nearby = replace(WarmStart.from_fit(fit), placed=None)  # a part has its own placement
     return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=nearby)
 
 

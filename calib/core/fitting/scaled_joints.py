@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from calib.core.base.errors import CalibrationError
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.column_maps import ColumnMap
-from calib.core.fitting.fit import WarmStart, fit_data
+from calib.core.fitting.fit import fit_data
 from calib.core.fitting.joint_conventions import uncounted_turns
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.fitting.settings import Settings
@@ -60,7 +60,7 @@ def joint_scales(robot: Robot, data: Measurements, at: ColumnMap | None = None) 
     own = tuple(section for section in robot.description.terms if section.term != Gain.word)
     try:
         geared = robot.with_terms((*own, *sections))
-        fit = fit_data(geared, Settings(), mapped, nearby=WarmStart.without_intervals(geared))
+        fit = fit_data(geared, Settings(), mapped)
     except CalibrationError:
         return None
     found = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))

@@ -21,7 +21,7 @@ from calib.core.fitting.settings import RequestedOptions
 from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.fitting.starts import Starts
 from calib.core.fitting.terms.candidate_terms import TermChoice
-from calib.core.fitting.unexplained import UnexplainedErrors, noise_beside, unexplained_errors
+from calib.core.fitting.unexplained import UnexplainedErrors, unexplained_errors
 from calib.core.numerics.statistics import Statistics
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.terms.term import Context
@@ -179,14 +179,12 @@ class Fit(SolvedFit, HintedObject):
     @cached_property
     def unexplained(self) -> UnexplainedErrors:
         """Errors that the residuals show in addition to noise."""
-        if self.computed:
-            return UnexplainedErrors()
         return unexplained_errors(self, sized=self._is_sized)
 
-    @cached_property
+    @property
     def reading_noise(self) -> FloatArray:
         """Noise of each group of rows beside errors of joints, (n_groups,) [SI]; `noise` contains these, too."""
-        return noise_beside(self, self.joint_error, sized=self._is_sized)
+        return self.unexplained.reading_noise
 
     @property
     def _is_sized(self) -> bool:

@@ -11,7 +11,12 @@ scales, which a fit finds, a fit with them must do so. Columns that are copies o
 
 When it fails. Mistakes of two kinds at once are not found. A robot with a wrong base or tool that the description calls
 known is always far off; the verdict looks for that first. Only instruments that measure points are examined here.
-Without any, see `calib.core.fitting.photographed_points` for images, else `calib.core.fitting.mistaken_readings`.
+Without any, see `photographed_points` for images, else `calib.core.fitting.mistaken_readings`.
+
+Photographs. Each gives the board's pose in the camera, whatever the joints are. So a robot with a camera is like a
+robot whose target, the board's origin, is measured in a frame of unknown place on the link that carries the camera. A
+sensor that reads positions of a point itself is like that, too. The depth of a small board is uncertain, and its pose
+may be one of two that look alike. Such positions show signs, quarter turns and orders, but do not calibrate.
 """
 
 from __future__ import annotations
@@ -19,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations, permutations, product
+from typing import Any
 
 import numpy as np
 
@@ -27,12 +33,17 @@ from calib.core.base.errors import CalibrationError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import millimetres
 from calib.core.base.words import count_noun, listing
+from calib.core.data.in_memory import plain_readings
 from calib.core.data.measurements import Measurements, with_points
 from calib.core.data.tables import read_table
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
 from calib.core.fitting.mistaken_readings import Trial, joint_value_trials, mistaken_readings, some_visits
-from calib.core.fitting.photographed_points import photographed_points
 from calib.core.fitting.scaled_joints import joint_scales
+from calib.core.instruments.camera import rays, view_poses
+from calib.core.instruments.pixel import Pixel
+from calib.core.instruments.relation import Relation
+from calib.core.robots.description import BaseSection, TargetSection
+from calib.core.robots.loading import build
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 
@@ -271,3 +282,57 @@ def equal_columns(data: Measurements, robot: Robot) -> list[tuple[str, str]]:
             columns[column] = whole
     varied = [name for name, numbers in columns.items() if len(np.unique(numbers[np.isfinite(numbers)])) > _FEW]
     return [(a, b) for a, b in combinations(varied, 2) if np.array_equal(columns[a], columns[b], equal_nan=True)]
+
+
+def photographed_points(robot: Robot, data: Measurements) -> tuple[Robot, Measurements] | None:
+    """Return the nominal robot, and measurements that state what its first sensor saw as positions [m].
+
+    None is returned for a robot without such a sensor, or with another instrument that reads positions.
+    """
+    if any(each.reads_positions for each in robot.instruments):
+        return None
+    for each in (each for each in robot.instruments if each.name in data.readings):
+        if isinstance(each, Pixel):
+            target = TargetSection(frame=robot.description.targets[each.target].frame, position="unknown")
+            return _positioned(robot, data, each.place.link, {each.target: target}, _boards(each, data))
+        if isinstance(each, Relation) and each.seen_points(data.readings[each.name].values) is not None:
+            return _seen_place(robot, data, each)
+    return None
+
+
+def _boards(camera: Pixel, data: Measurements) -> FloatArray:
+    """Origins of the board in the camera, (n, 3) [m]; NaN where it was not seen."""
+    readings = data.readings[camera.name]
+    visits, view = np.unique(readings.visits, return_inverse=True)
+    seen = rays(readings.values, np.array(camera.intrinsics))
+    poses, errors = view_poses(camera.body(readings.details), seen, view.reshape(-1), len(visits))
+    points = np.full((len(data), 3), np.nan)
+    points[visits] = np.where(np.isfinite(errors)[:, None], poses[:, :3, 3], np.nan)
+    return points
+
+
+def _seen_place(robot: Robot, data: Measurements, sensor: Relation) -> tuple[Robot, Measurements]:
+    """The robot whose target is the point that the sensor saw most often, and its measurements."""
+    readings = data.readings[sensor.name]
+    most = int(np.argmax(np.bincount(readings.pairs)))
+    own = readings.subset(np.flatnonzero(readings.pairs == most))
+    points, seen = np.full((len(data), 3), np.nan), sensor.seen_points(own.values)
+    assert seen is not None  # as `photographed_points` has checked
+    points[own.visits] = seen
+    place = sensor.own[most]
+    target = TargetSection(frame=place.link, xyz=place.xyz, position="unknown")
+    return _positioned(robot, data, robot.description.targets[sensor.target].frame, {place.name: target}, points)
+
+
+def _positioned(
+    robot: Robot, data: Measurements, link: str, target: dict[str, TargetSection], points: FloatArray
+) -> tuple[Robot, Measurements]:
+    """The robot whose target is measured in a frame of unknown place on a link, and its measurements (n, 3) [m]."""
+    changes: dict[str, Any] = {
+        "base": BaseSection(frame=link, pose="unknown"),
+        "targets": target,
+        **{"instruments": {}, "setups": {}, "columns": {}, "held": (), "elimination_order": ()},
+        **{"fleet": None, "model": None},
+    }
+    positioned = build(robot.description.model_copy(update=changes), robot.urdf, robot.path)
+    return positioned, replace(data, readings={next(iter(target)): plain_readings(points)}, robot=positioned)

@@ -92,7 +92,6 @@ def _run_steps(
     workers: Executor | None,
     steps: Steps,
 ) -> Fit:
-    """Do the steps of the module docstring."""
     of_each = _OF_ONE_FIT + settings.starts - 1
     steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:

@@ -149,7 +149,6 @@ class FitFiles(Mapping[Holds, FileRobot]):
         return _refit(self._fit, robot, replace(self._settings, starts=1), signs=signs, ranks=False)
 
     def _to_last_axis(self) -> FileRobot | None:
-        """The robot with nominal origins behind the last axis."""
         start = start_of(self._fit, Holds.ORIGINS)
         behind = behind_last_axis(start)
         nominal = {
@@ -164,7 +163,6 @@ class FitFiles(Mapping[Holds, FileRobot]):
         )
 
     def _zeros(self) -> FileRobot:
-        """The nominal robot with joint zeros."""
         nominal, signs = without_terms(self._fit.nominal, Holds.ZEROS).with_nominal_values(), self._signs()
         fitted = self._refit(with_zeros(nominal), signs)
         offsets = fitted.robot.values[fitted.robot.coefficients]

@@ -183,7 +183,6 @@ def _replace_entry(values: tuple, j: int, value: object) -> tuple:  # type: igno
 
 
 def _turns(at: ColumnMap, turning: BoolArray) -> Iterator[ColumnMap]:
-    """The map with another sign or zero of one joint."""
     for j, factor in enumerate(at.factors):
         turned = _replace_entry(at.factors, j, -factor)
         yield ColumnMap(at.columns, turned, at.quarters)
@@ -194,7 +193,6 @@ def _turns(at: ColumnMap, turning: BoolArray) -> Iterator[ColumnMap]:
 
 
 def _scales(robot: Robot, at: ColumnMap) -> Iterator[ColumnMap]:
-    """The map with another scale of one joint."""
     for j, name in enumerate(robot.joint_names):
         for factor in (*_FACTORS, *USUAL_FACTORS[robot.mechanism.dimensions[name]]):
             yield ColumnMap(
@@ -285,7 +283,6 @@ def _bounds(robot: Robot, data: Measurements, maps: Sequence[ColumnMap]) -> dict
 
 
 def _is_mirrored(robot: Robot, data: Measurements, at: ColumnMap) -> bool:
-    """Whether a map's bound belongs to a left-handed measurement frame."""
     if robot.description.base.pose != "unknown":
         return False
     system = _systems(robot, data, [at])[0]

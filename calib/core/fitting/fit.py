@@ -213,7 +213,6 @@ def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measu
 
 
 def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
-    """O1 to O5 of the scaled Jacobian of readings in SI units, unweighted: in metres, where only positions are read."""
     units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
     own = problem.unknowns.select(problem.unknowns.family < 0)  # priors decide which rows of families count
     factor = problem.compressed(final, units, own).jacobian

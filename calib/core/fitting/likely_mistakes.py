@@ -139,7 +139,6 @@ def _nominal_fits(
 
 
 def _file_units(data: Measurements) -> dict[str, str | None]:
-    """Units of the file's columns, by name; empty for measurements that were never in one file."""
     try:
         table = read_table(data.path)
     except CalibrationError:
@@ -198,7 +197,6 @@ def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArra
 
 
 def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
-    """Yield each mistake, undone in some of the measurements."""
     data = some_visits(measured)
     q, points = data.joints, data.points(robot)
     for at in likely_maps(robot, data):
@@ -237,7 +235,6 @@ def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
 
 
 def _axes_in_words(order: tuple[int, ...], sign: tuple[float, ...]) -> str:
-    """A sentence on measured columns in another order or with other signs; empty if they are right."""
     columns = ["xyz"[k] for k in order]
     moved = [axis for axis, column in zip("xyz", columns, strict=True) if axis != column]
     turned = " and ".join(column for column, of in zip(columns, sign, strict=True) if of < 0)
@@ -312,7 +309,6 @@ def _boards(camera: Pixel, data: Measurements) -> FloatArray:
 
 
 def _seen_place(robot: Robot, data: Measurements, sensor: Relation) -> tuple[Robot, Measurements]:
-    """The robot whose target is the point that the sensor saw most often, and its measurements."""
     readings = data.readings[sensor.name]
     most = int(np.argmax(np.bincount(readings.pairs)))
     own = readings.subset(np.flatnonzero(readings.pairs == most))
@@ -327,7 +323,6 @@ def _seen_place(robot: Robot, data: Measurements, sensor: Relation) -> tuple[Rob
 def _positioned(
     robot: Robot, data: Measurements, link: str, target: dict[str, TargetSection], points: FloatArray
 ) -> tuple[Robot, Measurements]:
-    """The robot whose target is measured in a frame of unknown place on a link, and its measurements (n, 3) [m]."""
     changes: dict[str, Any] = {
         "base": BaseSection(frame=link, pose="unknown"),
         "targets": target,

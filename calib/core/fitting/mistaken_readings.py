@@ -118,7 +118,6 @@ def _misfits(robot: Robot, data: Measurements) -> _Errors:
 
 
 def _trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
-    """Each mistake, undone in some of the measurements of the instruments that it concerns."""
     data, n = some_visits(measured), len(robot.joint_names)
     plain = ColumnMap.plain(n)
     signs = [replace(plain, factors=tuple(-1.0 if k == j else 1.0 for k in range(n))) for j in range(n)]
@@ -196,7 +195,6 @@ def joint_value_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
 
 
 def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
-    """Joint values shifted to other rows, counted in the measured order; rows of the file may be missing here."""
     places = measured.places
     for rows, sign in product(range(1, _SHIFTS + 1), (1, -1)):
         _, of_joints, of_points = np.intersect1d(places + sign * rows, places, return_indices=True)

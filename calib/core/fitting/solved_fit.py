@@ -226,7 +226,6 @@ class SolvedFit(ReadOnlyArrays):
         return self._whitened(errors)[:2]
 
     def _whitened(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray, Whitening, FloatArray]:
-        """Residuals before and after (n_rows,), their whitening, and scales of the groups (n_groups,)."""
         used = errors.data is self.identification.data
         whitening = self.whitening if used else Whitening(self.robot, errors.data, self.sigma_given)
         known = {

@@ -129,7 +129,6 @@ def _add(
     groups: FloatArray,
     end: tuple[Evaluation, LeastSquaresSolution],
 ) -> None:
-    """Count an end for the minimum that it belongs to, or add a new minimum."""
     reached, solution = end
     whitened = problem.whitening.whiten(reached.residuals, groups)
     smallest = _ROUNDING / float(np.min(groups * [group.typical for group in problem.whitening.groups]))
@@ -144,5 +143,4 @@ def _add(
 
 
 def _size(whitened: FloatArray) -> float:
-    """Root mean square of whitened rows."""
     return float(np.sqrt(np.mean(whitened**2)))

@@ -99,7 +99,6 @@ def solve_beside_noise(model: MixedModel) -> SolvedModel | None:
 
 
 def _kinds_of_few_coefficients(fit: SolvedFit) -> tuple[CandidateTerm, ...]:
-    """Kinds that a fit lacks and its measurements can show, without curves."""
     kinds = [
         kind for kind in candidates(fit.robot, fit.identification.data) if not (kind.refusal or kind.reason_against)
     ]

@@ -56,7 +56,6 @@ def _setups(data: Measurements) -> list[int]:
 
 
 def _folds(data: Measurements, folds: int | Literal["setups"], seed: int) -> list[IntArray]:
-    """Indices of each fold, (n_in_fold,) each."""
     if folds == "setups":
         if data.setups is None or len(_setups(data)) < 2:
             raise InputError(f"folds setups: {data.path} has one setup only; give a number of folds")

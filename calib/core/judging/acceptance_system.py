@@ -286,7 +286,6 @@ class System:
 
 
 def _candidate_columns(robot: Robot, columns: FloatArray, n_free: int) -> FloatArray:
-    """Columns of the candidates, (n_rows, n_candidates), from those of all free parameters and joints."""
     return np.stack(
         [
             c.scale * columns[:, n_free + c.index] if c.is_joint else columns[:, c.index]  # parameters are scaled

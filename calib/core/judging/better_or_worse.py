@@ -113,7 +113,6 @@ def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Unused
 
 
 def _has_grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
-    """Whether errors of rows (n_rows,), pose by pose, have grown by more than `HARM`, beyond chance."""
     squares: list[FloatArray] = [np.bincount(pose, errors**2).astype(float) for errors in (before, after)]
     return bool(np.sum(squares[1]) > HARM**2 * np.sum(squares[0])) and surely_positive(squares[1] - squares[0])
 

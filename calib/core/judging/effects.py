@@ -188,7 +188,6 @@ def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
 
 
 def _instrument_effects(setting: EffectSetting) -> Iterator[Effects]:
-    """Constants in the readings of each instrument, and what it reads too large by a factor."""
     scaled, visit, always = own_scales(setting), setting.visit, _always(setting)
     for name, group, columns in constants(setting):
         yield Effects(Kind.OFFSET, name, columns, visit, always, group=group)
@@ -235,7 +234,6 @@ def _joint_effects(setting: EffectSetting) -> Iterator[Effects]:
 
 
 def _always(setting: EffectSetting) -> FloatArray:
-    """Factors of one effect that is the same at all visits, (n_visits, 1, 1)."""
     return np.ones((len(setting.data), 1, 1))
 
 

@@ -110,7 +110,6 @@ def _has_poses_for_terms(fit: Fit) -> bool:
 
 
 def _tried_answers(fit: Fit) -> set[Answer]:
-    """Answers that this fit has tried already."""
     by_auto = fit.terms is not None and fit.terms.automatic
     tried = {Answer.LEAVE_OUT: fit.with_all is not None, Answer.ADD_TERMS: by_auto, Answer.TRY_STARTS: bool(fit.starts)}
     return {answer for answer, was in tried.items() if was}

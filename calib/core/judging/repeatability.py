@@ -212,7 +212,6 @@ def _distances(errors: ErrorSet, several: list[PoseScatter], names: Mapping[int,
 
 
 def _mean_prediction(errors: ErrorSet, scatter: PoseScatter) -> FloatArray:
-    """Mean position that was predicted, (3,) [m]."""
     instrument = next(i for i in errors.instruments if i.name == scatter.instrument)
     read = instrument.points(errors.data.readings[scatter.instrument].values[scatter.readings])
     if read is None:
@@ -255,7 +254,6 @@ def _drifts(
 def _missing(
     errors: ErrorSet, several: list[PoseScatter], turned: list[PoseScatter], figures: list[IsoFigure]
 ) -> list[str]:
-    """Return the figures of the standard for which data are missing, in words."""
     cycles = [len(scatter.after) for scatter in several]
     result = []
     if not several:

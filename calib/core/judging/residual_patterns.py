@@ -159,7 +159,6 @@ def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
 
 
 def _moments(residuals: LinearFit, some: Sequence[Effects]) -> list[_Moments]:
-    """Return the moments of effects; see the module docstring."""
     span = residuals.span
     tall, n = len(span) > KEPT, len(span.root)  # then J T is not stored: it is computed from sums over rows
     known = [span[:]] if not tall else [span.jacobian] if span.more is None else [span.jacobian, span.more]
@@ -187,7 +186,6 @@ def _moments(residuals: LinearFit, some: Sequence[Effects]) -> list[_Moments]:
 
 
 def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:
-    """Return Z^T Z of each effect, (m, b f, b f), from B^T B of visits (n, b, b) and factors (n, f, m)."""
     (n, f, m), b = factors.shape, sums.shape[1]
     flat, whole = sums.reshape(n, -1).T, np.empty((b, b, f, f, m))
     for i, j in combinations_with_replacement(range(f), 2):
@@ -223,7 +221,6 @@ def _sums_of_visits(base: FloatArray, others: FloatArray, firsts: IntArray) -> F
 
 
 def _tests(residuals: LinearFit, some: Sequence[Effects]) -> list[_EffectTests]:
-    """Test the visible effects, all with equally many columns at once."""
     by_width: dict[int, list[_Moments]] = {}
     for moments in _moments(residuals, some):
         by_width.setdefault(moments.score.shape[1], []).append(moments)
@@ -231,7 +228,6 @@ def _tests(residuals: LinearFit, some: Sequence[Effects]) -> list[_EffectTests]:
 
 
 def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTests]:
-    """Test effects with equally many columns, without absorbed ones and those that leave no degree of freedom."""
     squares, left, scores = (
         np.concatenate([getattr(moments, name) for moments in some]) for name in ("squares", "left", "score")
     )

@@ -191,7 +191,6 @@ def doubtful_readings(fit: Fit) -> Iterator[Reason]:
 
 
 def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
-    """Part of the squared residuals from outliers."""
     if rows is None:
         return 1.0
     squares = np.bincount(rows.layout.reading, rows.residuals**2, rows.layout.n_readings)

@@ -85,7 +85,6 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
 
 
 def _poses_over_range(fit: Fit, j: int, allowed: float) -> FloatArray:
-    """The used poses with one joint spread over its limits, (n, n_actuated) [m or rad]."""
     used = fit.identification.data.joints
     q = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(np.intp))].copy()
     middle = np.mean(q[:, j])
@@ -96,7 +95,6 @@ def _poses_over_range(fit: Fit, j: int, allowed: float) -> FloatArray:
 
 @memoize
 def _uncertain_at_used(fit: Fit) -> float:
-    """Root mean square uncertainty of positions at used poses, at most `_SAMPLED` of them [m]."""
     data = fit.identification.data
     used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
     return _size(_slope(fit, data.joints[used], data.conditions.select(used)), fit.uncertainty.covariance_of(fit.robot))

@@ -154,7 +154,6 @@ def _superseded_codes(reasons: Sequence[Reason]) -> set[Code]:
 
 
 def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
-    """Yield reasons of other packages' rules, in the order of their names."""
     for entry in list_entry_points("calib.reasons"):
         whose = f"reason '{entry.name}' of the verdict ({entry.value})"
         try:

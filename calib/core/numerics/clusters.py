@@ -116,7 +116,6 @@ def scatter(
 
 
 def _products(rows: FloatArray) -> FloatArray:
-    """Return the products of the columns of a matrix (m, k) with each other, (k, k)."""
     return rows.T @ rows
 
 

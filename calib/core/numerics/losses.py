@@ -285,5 +285,4 @@ def studentised(
 
 
 def _chance(ratio: FloatArray, widths: IntArray, freedom: FloatArray | float) -> FloatArray:
-    """Chance of readings this far off, (..., n_readings)."""
     return np.asarray(scipy.special.fdtrc(widths, np.maximum(freedom / 2.0, 1.0), ratio**2 / widths))

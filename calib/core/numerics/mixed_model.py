@@ -121,7 +121,6 @@ class MixedModel(ReadOnlyArrays):
 
     @cached_property
     def _lengths(self) -> FloatArray:
-        """Lengths of the columns, (n,)."""
         return np.linalg.norm(self.x, axis=0)
 
     @cached_property
@@ -220,7 +219,6 @@ class SolvedModel(ReadOnlyArrays):
 
     @cached_property
     def _root(self) -> FloatArray:
-        """R^-1, (n_seen, n_seen)."""
         return inverse_of_triangle(self.upper)
 
     @cached_property

@@ -152,7 +152,6 @@ class Information(ReadOnlyArrays):
 
     @cached_property
     def _decomposition(self) -> tuple[Rank, FloatArray]:
-        """The rank, and V^T of all directions, (n_parameters, n_parameters)."""
         _, values, directions = linalg.svd(self.factor)
         return rank_of(values, self.factor.shape[1]), directions
 

@@ -279,7 +279,6 @@ def _cost(at: SolvedModel) -> float:
 
 
 def _slope(at: SolvedModel) -> FloatArray:
-    """Gradient of the prior's part of the cost, (n_sizes,)."""
     n, slope = at.model.n_families, np.zeros(len(at.logs))
     squares = np.exp(2.0 * at.logs[:n])
     slope[:n] = 2.0 * squares / (1.0 + squares)
@@ -288,7 +287,6 @@ def _slope(at: SolvedModel) -> FloatArray:
 
 
 def _curvature(at: SolvedModel) -> FloatArray:
-    """Second derivatives of the prior's part of the cost, (n_sizes,)."""
     n, curvature = at.model.n_families, np.zeros(len(at.logs))
     squares = np.exp(2.0 * at.logs[:n])
     curvature[:n] = 4.0 * squares / (1.0 + squares) ** 2

@@ -189,7 +189,6 @@ class LoadedResult(HintedObject, CalibratedRobot):
         return robot, self._uncertainty_of(robot)
 
     def _uncertainty_of(self, robot: Robot) -> ParameterUncertainty:
-        """Uncertainty of the parameters of a fit that ended at a robot's values."""
         if np.array_equal(robot.values, self.robot.values):
             return self.uncertainty
         for entry in self.saved["fit"]["reduced"].values():

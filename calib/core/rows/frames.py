@@ -255,13 +255,11 @@ def measurement_frame(known: KnownRobot) -> CorrectionFrame:
 
 
 def _is_of_robot(known: KnownRobot) -> BoolArray:
-    """Mask of the free parameters of the robot itself, without placements, (n_free,)."""
     of_robot = np.array([not parameter.placement for parameter in known.robot.parameters])
     return of_robot[:0] if known.uncertainty is None else of_robot[known.uncertainty.free]
 
 
 def _align_nominal(nominal: Robot, robot: Robot, loose: UnknownPlaces, known: KnownRobot) -> CommonMotion:
-    """The nominal robot aligned with the calibrated one over the measured poses."""
     return CommonMotion.from_robots(nominal, robot, loose, _poses_of_agreement(nominal, known.robot, known.joints))
 
 

@@ -125,7 +125,6 @@ class _Work:
         self._fill_pairs(self._readings_of_pairs(index), part, swept, twists)
 
     def _readings_of_pairs(self, index: IntArray) -> dict[int, IntArray | slice]:
-        """Readings (n,) of each pair of frames."""
         if len(self._numbers) == 1:
             return {self._numbers[0]: as_slice(index)}
         number = self.readings.pairs[index]
@@ -134,7 +133,6 @@ class _Work:
     def _fill_pairs(
         self, chosen: dict[int, IntArray | slice], part: slice, swept: kinematics.Sweep, twists: FloatArray
     ) -> None:
-        """Compare the readings of each pair."""
         pairs, visits = tuple(self.all_pairs[k] for k in chosen), self.readings.visits - part.start
         comparisons: list[Comparison] = []
         for pair, own in zip(pairs, chosen.values(), strict=True):
@@ -179,7 +177,6 @@ class _Work:
             )
 
     def _compare(self, chosen: IntArray | slice, seen: View | FloatArray) -> Comparison | JointComparison:
-        """Compare by the kind, and store the residuals."""
         every = isinstance(chosen, slice) and chosen == slice(0, len(self._sorted))
         readings = self.readings if every else select_readings(self.readings, chosen)
         comparison = self.instrument.compare(seen, self.robot.values[self._unknowns], readings)

@@ -406,11 +406,9 @@ class ParameterUncertainty(ReadOnlyArrays):
         return [p.name for p, free in zip(robot.parameters, self.free, strict=True) if free]
 
     def _n_errors(self, robot: Robot) -> int:
-        """Number of joints with an error at each pose."""
         return len(robot.joint_names) if self.joint_error > 0.0 else 0
 
     def _undecided_names(self, robot: Robot) -> tuple[str, ...]:
-        """Names of the coefficients of undecided terms."""
         has = {p.name for p in robot.parameters}
         return () if self.undecided is None else tuple(name for name in self.undecided.names if name not in has)
 

@@ -102,7 +102,6 @@ class Unknowns(ReadOnlyArrays):
 
 
 def _prior(robot: Robot, kept: list[Parameter]) -> Prior:
-    """Prior of some of the robot's parameters."""
     has, fleet = np.array([p.prior for p in kept], dtype=bool), robot.description.fleet
     together = [k for k, p in enumerate(kept) if fleet is not None and fleet.knows(p.name)]
     if fleet is None or not together:

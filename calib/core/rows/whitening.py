@@ -166,12 +166,10 @@ def _covariance(instrument: Instrument, noise: Noise, readings: Readings) -> Flo
 
 
 def _are_whole(data: Measurements) -> bool:
-    """Whether every component was read, and no reading has its own noise."""
     return all(each.covariance is None and not np.isnan(each.values).any() for each in data.readings.values())
 
 
 def _absent(instrument: Instrument, readings: Readings) -> BoolArray:
-    """Mask of the components that were not read, (n, n_rows)."""
     nothing: BoolArray = np.isnan(readings.values)
     if not nothing.any():
         return np.zeros((len(readings), instrument.n_rows), dtype=bool)
@@ -189,7 +187,6 @@ def _group(
     covariance: FloatArray,
     part: Part,
 ) -> int:
-    """Number of the group of a part of an instrument's rows; a new group is added."""
     index = instrument.parts.index(part)
     stated = readings.covariance is not None or noise.parts[index].stated
     key = (instrument.group, part.name, stated)

@@ -111,8 +111,6 @@ def size_terms(fit: Fit) -> TermChoice:
 
 
 class _TermModel:
-    """The mixed model of all kinds around a fit."""
-
     def __init__(self, fit: Fit, kinds: Sequence[CandidateTerm]) -> None:
         self._fit, self._kinds = fit, kinds
         self._kind_model = KindModel(fit, kinds)
@@ -122,7 +120,6 @@ class _TermModel:
 
     @cached_property
     def _solved_model(self) -> SolvedModel:
-        """The model with its likeliest sizes."""
         return likeliest_sizes(MixedModel.from_rows(self._rows))
 
     @cached_property
@@ -191,12 +188,10 @@ class _TermModel:
 
     @cached_property
     def _requested_kinds(self) -> frozenset[str]:
-        """Requested kinds."""
         return frozenset(map(str, self._terms[self._kind_model.of_kinds]))
 
     @cached_property
     def _chosen_model(self) -> SolvedModel:
-        """The model with the kinds that earn their place."""
         every = kinds = self._requested_kinds
         seen = set[frozenset[str]]()
         while kinds not in seen:
@@ -211,7 +206,6 @@ class _TermModel:
 
     @cached_property
     def _smallest_logs(self) -> FloatArray:
-        """Logarithms of sizes that are as good as zero, (n_sizes,)."""
         return least_sizes(self._solved_model.model)
 
     def _is_shown(self, k: int) -> bool:
@@ -225,13 +219,11 @@ class _TermModel:
 
     @cached_property
     def _is_fitted(self) -> BoolArray:
-        """Mask of the families that are fitted, (n_families,)."""
         large = np.exp(self._chosen_model.logs[: len(self._families)]) > _SMALL
         return np.array([some or self._is_shown(k) for k, some in enumerate(large)], dtype=bool)
 
     @cached_property
     def _terms(self) -> NDArray[np.str_]:
-        """Kind of each family, (n_families,)."""
         return np.array([family.term for family in self._families], dtype=np.str_)
 
     def _freedom_of_kinds(self, kinds: frozenset[str]) -> float:

@@ -13,7 +13,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.contributions import Contribution, Contributions, Uncertainty, contributions_to
 from calib.core.base.other_words import HintedObject
 from calib.core.data.in_memory import PosesLike, as_poses
-from calib.core.fitting.error_sets import Errors, Folds
+from calib.core.fitting.error_sets import Errors, ErrorSet, Folds
 from calib.core.fitting.estimates import Correlation, Covariance, Estimates, estimates
 from calib.core.fitting.outliers import Outlier
 from calib.core.fitting.regions import Regions, disagreeing
@@ -139,14 +139,19 @@ class Fit(SolvedFit, HintedObject):
         return (self.validation or folds or self.identification).rms("after")
 
     @property
+    def error_sets(self) -> dict[str, ErrorSet]:
+        """Errors at `identification`, `validation` and `cross_validation` poses, as far as these exist."""
+        folds = None if self.folds is None else self.folds.errors
+        sets = {"identification": self.identification, "validation": self.validation, "cross_validation": folds}
+        return {name: errors for name, errors in sets.items() if errors is not None}
+
+    @property
     def errors(self) -> dict[str, dict[str, dict[str, object]]]:
-        """Errors `before` and `after` of `identification`, `validation` and `cross_validation`, as far as these exist.
+        """Tables of `error_sets`, `before` and `after`.
 
         In mm for positions, as in `result.json`: `errors["validation"]["after"]["rms"]`.
         """
-        sets = {"identification": self.identification, "validation": self.validation}
-        sets["cross_validation"] = None if self.folds is None else self.folds.errors
-        return Errors({name: error_set.table() for name, error_set in sets.items() if error_set is not None})
+        return Errors({name: errors.table() for name, errors in self.error_sets.items()})
 
     def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance.

@@ -20,7 +20,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import NotIdentifiableError
@@ -190,14 +189,7 @@ def _linear_solution(
 
 def _step(rows: Rows, weights: FloatArray, sigma: float) -> FloatArray:
     """Solve the weighted linear problem, with priors weighted against this noise."""
-    root = np.sqrt(weights)[rows.layout.reading]
-    priors = rows.prior.rows
-    stacked = np.vstack([root[:, None] * rows.jacobian, sigma * priors])
-    right = np.concatenate([root * rows.residuals, sigma * (priors @ rows.deviations)])
-    if len(stacked) < stacked.shape[1]:
+    model = rows.with_weights(weights / sigma**2)
+    if model.posterior_information.root.shape[1] < rows.jacobian.shape[1]:
         raise NotIdentifiableError(_TOO_FEW_LEFT)
-    q, triangle = np.linalg.qr(stacked)
-    diagonal = np.abs(np.diag(triangle))
-    if np.min(diagonal) <= 1e-12 * np.max(diagonal):
-        raise NotIdentifiableError(_TOO_FEW_LEFT)
-    return -scipy.linalg.solve_triangular(triangle, q.T @ right)
+    return model.step()

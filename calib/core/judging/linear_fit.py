@@ -9,7 +9,6 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
-from calib.core.numerics.clusters import LeftOutBlocks
 from calib.core.numerics.tall import Span
 from calib.core.rows.rows import Rows
 
@@ -79,11 +78,6 @@ class LinearFit:
         sizes, deviations = np.zeros(len(size)), np.full(len(size), np.inf)
         sizes[made], deviations[made] = found / size[made], scatter * np.sqrt(np.diag(inverse)) / size[made]
         return sizes, deviations
-
-    @cached_property
-    def without_poses(self) -> LeftOutBlocks:
-        """The fit with poses left out in turn."""
-        return LeftOutBlocks(self.span, self.rows.layout.pose_of_row)
 
     @cached_property
     def square(self) -> float:

@@ -46,6 +46,7 @@ from calib.core.judging.linear_fit import ABSORBED, LinearFit
 from calib.core.judging.row_derivatives import EffectSetting
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, FALSE_ALARM
+from calib.core.numerics.clusters import shifts_without_block
 from calib.core.numerics.tall import KEPT, slices
 
 SMALLEST_EFFECT = 0.1
@@ -279,4 +280,4 @@ def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: Floa
     result = chance(left)
     if result >= limit:
         return result
-    return chance(left + residuals.without_poses.shifts_without_block(left, further_columns=basis)[0])
+    return chance(left + shifts_without_block(residuals.span, pose, left, further_columns=basis)[0])

@@ -5,8 +5,8 @@ Unknowns are scaled, u = (p - p_expected) / s; d is their change from the point.
 
     factor                       the triangular factor of [J r], from which all sums over rows follow
     posterior_information        the information of rows and priors, with T T^T = (J^T J + P^T P)^-1
-    span                         U = J T; leverages are sums of its squares
-    leave_out_blocks             the model with blocks of rows left out in turn (`calib.core.numerics.clusters`)
+    span                         U = J T; leverages are sums of its squares. By it, blocks of rows are left out in turn
+                                 (`calib.core.numerics.clusters`)
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from typing import Self
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.numerics.clusters import LeftOutBlocks
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.observability import Information, information
 from calib.core.numerics.prior import Prior
@@ -118,7 +117,3 @@ class LinearModel:
         """Return the model of some rows: their places (k,), or a mask (n_rows,)."""
         groups = RowGroups.from_groups(self.layout.group[places], len(self.layout.counts))
         return LinearModel(self.residuals[places], self.jacobian[places], self.prior, self.deviations, groups)
-
-    def leave_out_blocks(self, block: IntArray) -> LeftOutBlocks:
-        """Return the model with blocks of rows (n_rows,) left out in turn."""
-        return LeftOutBlocks(self.span, block)

@@ -61,7 +61,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.numerics import linalg
-from calib.core.numerics.clusters import LeftOutBlocks, blocks_of_equal_length
+from calib.core.numerics.clusters import blocks_of_equal_length, shifts_without_block
 from calib.core.numerics.identifiability import inverse_of_triangle, square_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows, coefficients_of
 
@@ -336,6 +336,6 @@ class SolvedModel(ReadOnlyArrays):
             weight: Weight of each group of rows, (n_groups,).
         """
         left = self.whitened_residuals
-        shifts, _ = LeftOutBlocks(self._spread, block).shifts_without_block(left, alone=1.0 - _DECIDES)
+        shifts, _ = shifts_without_block(self._spread, block, left, alone=1.0 - _DECIDES)
         squares = weight[self.model.rows.group] * self.variance * (left + shifts) ** 2
         return np.asarray(np.bincount(block, squares))

@@ -60,10 +60,7 @@ def calibrate(
     """Calibrate a robot.
 
     Args:
-        robot: The nominal robot.
-        data: Measurements to identify with.
         validation: Measurements to validate the result with, or None.
-        settings: Options of the fit.
         executor: Executor of the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
         progress: Function that is called after each step with the number of finished and of known steps. Steps are:

@@ -52,7 +52,6 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
     Fits without joint terms are done at once; other robots are found at first use.
 
     Args:
-        settings: Its options.
         executor: Executor of the fits of other starts and of folds, as in `calib.core.calibrating.calibrate.calibrate`.
     """
     started, reduced = time.perf_counter(), dict[Holds, Fit]()
@@ -89,7 +88,6 @@ def _refit(
     """Fit another robot to the measurements of a fit, with the same options.
 
     Args:
-        settings: Options of the fit.
         workers: Workers for the fits of other starts and of folds.
         signs: Sign of each joint value, (n_actuated,).
         ranks: Whether ranks of held parameters are used.

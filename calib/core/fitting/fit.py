@@ -87,11 +87,9 @@ class Minimum:
     """The end of the iteration of a fit, before its statistics.
 
     Attributes:
-        robot: The nominal robot.
         validation_only: Free parameters of places that only validation shows.
         start: Evaluation with base and targets placed.
         determined: Determination by the measurements at the start.
-        solved: The minimum.
     """
 
     robot: Robot
@@ -114,12 +112,9 @@ def fit_data(
     """Fit a robot to measurements, once.
 
     Args:
-        robot: The nominal robot, with its joint terms.
         settings: Options; the caller treats outliers, folds and the choice of terms.
-        data: Measurements to identify with.
         validation: Measurements to validate the result with, or None.
         workers: Workers for fits from other starts; this process if not given.
-        steps: Progress of the steps, if given.
         nearby: Start values from another fit of these visits.
 
     Raises:
@@ -225,10 +220,6 @@ def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tupl
     Examples are a tool or a tracker mounted anew for the validation. Such a place carries no information about the
     robot, so the later readings alone place it, before and after calibration: the errors that remain are the robot's
     own. With few poses in a small part of joint space such a place can absorb errors of the robot.
-
-    Args:
-        data: Measurements to fit.
-        later: Others, or None.
     """
     if later is None:
         return ()
@@ -246,9 +237,7 @@ def place_from_data(later: Measurements, robot: Robot, names: tuple[str, ...]) -
     """Return a robot with some places determined by measurements alone, and all other parameters unchanged.
 
     Args:
-        later: Measurements that show the places.
         robot: The robot, before or after calibration; only free parameters of the places change.
-        names: Parameters of the places.
 
     Raises:
         NotConvergedError: The places cannot be found.
@@ -270,11 +259,6 @@ def reading_origins(robot: Robot, data: Measurements) -> set[tuple[str, str]]:
 
 def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
     """Return errors on visits that were not used.
-
-    Args:
-        placed: The robot before calibration.
-        calibrated: The robot after calibration.
-        data: The visits.
 
     Raises:
         UnreachablePoseError: The robot before calibration cannot be assembled at a visit.

@@ -43,7 +43,6 @@ class Fit(SolvedFit, HintedObject):
             no files were requested.
         seed: Seed of every random choice.
         placed_later: Parameters of places that only the validation poses show; they were found from these.
-        requested_options: Further options of the fit.
     """
 
     _other_words = "a fit"

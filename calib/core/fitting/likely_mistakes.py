@@ -67,8 +67,6 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
     """Return the mistake that explains the measurements, in words; empty where none does.
 
     Args:
-        robot: The nominal robot.
-        data: Measurements that do not fit it.
         noise: Noise of a fit to them, per axis [m]; infinite without a fit.
         gross: Whether all mistakes are examined, since nothing fits; else only the scales of joints.
     """

@@ -72,8 +72,6 @@ def mistaken_readings(robot: Robot, data: Measurements, name: str = "") -> str:
     """Return the mistake that explains the measurements, in words; empty where none does.
 
     Args:
-        robot: The nominal robot.
-        data: Measurements that do not fit it.
         name: An instrument, if only its numbers can be wrong.
     """
     some = some_visits(data)
@@ -166,7 +164,6 @@ class Trial:
     """A mistake that is undone.
 
     Attributes:
-        words: The mistake.
         data: Some of the measurements without it.
         changes: Number of changes of joints; 0 for a single mistake.
         column_map: The map of columns that undoes it.

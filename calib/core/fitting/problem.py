@@ -47,8 +47,6 @@ class Evaluation:
     """Readings compared with a robot at one set of parameter values.
 
     Attributes:
-        robot: The robot with these values.
-        configurations: Its configurations at the visits.
         readings: Readings of each instrument, by name.
         factors: Cache of `Problem.compressed`: unknowns, and the triangular factor of each group's rows for them.
         whitened: Cache of `Problem.rows`: scales of the groups, unknowns, and the derivative of the rows by these.
@@ -87,11 +85,9 @@ class Problem(ReadOnlyArrays):
     """Rows of a fit as functions of the parameters, from `from_data`.
 
     Attributes:
-        robot: Nominal robot.
         sigma: Noise of positions per axis, if it replaces the stated one [m].
         columns: Columns Phi of the joint terms, at the nominal parameters.
         passive: Passive joints at similar parameters, from which loops are closed, (n, n_passive) [m or rad].
-        whitening: Whitening by the stated noise.
         unknowns: The free parameters, with the sizes of families found so far.
         noise_found: Mask of the groups whose noise is found from the residuals, (n_groups,); at first those without
             stated noise.
@@ -119,7 +115,6 @@ class Problem(ReadOnlyArrays):
         """Close every visit and whiten its readings.
 
         Args:
-            robot: Nominal robot.
             sigma: Noise of positions per axis, if it replaces the stated one [m].
             near: Passive joints of the visits under similar parameters, if they are known, (n, n_passive) [m or rad].
             whitening: Whitening of the same readings with the same instruments and sigma, if it exists already.
@@ -137,7 +132,6 @@ class Problem(ReadOnlyArrays):
         """Return the problem of other readings at the same visits, joint values and conditions.
 
         Args:
-            data: The readings.
             passive: Passive joints near the solution of that problem, (n, n_passive) [m or rad].
         """
         if self.whitening.applies_to(data):
@@ -181,7 +175,6 @@ class Problem(ReadOnlyArrays):
         """Evaluate a robot on the data.
 
         Args:
-            robot: The robot, with any parameter values.
             near: Evaluation at similar values, from which the loops close quickly.
 
         Raises:

@@ -49,9 +49,7 @@ class RobustSolution:
 
     Attributes:
         problem: The solved problem, with the noise and the sizes of families that were found.
-        evaluation: The evaluation at the minimum.
         groups: Scale of the noise of each group, (n_groups,).
-        solution: Last report of the solver.
         weights: Weight of each reading, (n_readings,); None without a robust loss.
         factors: Factors on the noise, by the residuals, with a robust loss.
         has_settled_weights: Whether the weights of a robust loss have settled.
@@ -72,7 +70,6 @@ def solve_robust(solved: RobustSolution, loss: Loss) -> RobustSolution:
     """Minimise with a robust loss, from a least-squares solution.
 
     Args:
-        solved: The least-squares solution.
         loss: The loss, not `none`.
 
     Raises:

@@ -49,7 +49,6 @@ def joint_scales(robot: Robot, data: Measurements, at: ColumnMap | None = None) 
     """Return the scales of joints; None if the fit fails.
 
     Args:
-        robot: The nominal robot.
         at: Likely map of the columns, from which the fit starts; the plain one if not given.
     """
     names = robot.joint_names

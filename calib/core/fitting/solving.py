@@ -94,7 +94,6 @@ def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, Floa
     """Return the result of `place` from another robot placed by the same readings; None if robots differ.
 
     Args:
-        other: The other robot, base and targets placed.
         residuals: Residuals of the other robot, (n_readings, n_rows) [SI] by instrument.
     """
     unknowns, readings = problem.unknowns, problem.data.readings
@@ -159,9 +158,7 @@ def solve_from(
 
     Args:
         placed: Evaluation at the start.
-        settings: Options of the fit.
         workers: Workers for the other starts; this process if not given.
-        progress: Called after each of them.
 
     Raises:
         NotConvergedError: The noise cannot be found.
@@ -268,7 +265,6 @@ def uncertainty_at(
     """Return the rows at a minimum, the scales of their noise (n_groups,), and the uncertainty of the parameters.
 
     Args:
-        solved: The minimum.
         beyond_linear: `Statistics.beyond_linear` of a minimum nearby, if it is known.
 
     Raises:
@@ -322,8 +318,6 @@ def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Conve
     Only this step counts, whether a stopping rule ended the iteration or its limit of evaluations.
 
     Args:
-        solved: The minimum.
-        rows: The rows at the minimum.
         std: Standard deviations of the free parameters, (n_free,) [m, rad].
     """
     weighted = rows if solved.weights is None else rows.with_weights(solved.weights)

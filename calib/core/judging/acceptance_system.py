@@ -130,7 +130,6 @@ class System:
     """The least-squares problem.
 
     Attributes:
-        promise: The tested promise.
         rows: The linear model: r by the uncertain parameters J L, which have a prior, and by the places P, of length 1.
         candidate_columns: Columns of the candidates, (n_rows, n_candidates).
         errors: Errors of the readings after placing base and targets, without outliers.
@@ -334,7 +333,6 @@ def _expected_distances(
     """Return the expectation of the distances between measured and predicted positions.
 
     Args:
-        promise: Noise, errors of joints, and shared errors.
         robot: The robot with undecided terms, placed by the readings.
         observed: Observed readings, with derivatives by parameters and joints.
         uncertain: Numbers of the uncertain parameters among the free ones, (n,).

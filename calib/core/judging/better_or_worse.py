@@ -54,9 +54,7 @@ class UnusedErrors:
     """Errors on one set of unused poses.
 
     Attributes:
-        name: Name of these poses.
         before, after: Root mean square error of the main part of the readings [SI].
-        dimension: Dimension of that part.
         better, worse: Whether the calibration made errors smaller, or larger, beyond chance.
     """
 

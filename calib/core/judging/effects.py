@@ -59,7 +59,6 @@ class Effects:
     """Effects of one kind on one thing; each adds B (x) F: every column of B times every factor of F.
 
     Attributes:
-        kind: The kind of effect.
         name: Its axis, joint, target or instrument; `xyz` for all axes.
         base: B, change of the whitened rows, (n_rows, b).
         visit: Visit of each row, (n_rows,).
@@ -88,9 +87,7 @@ class Effects:
         """Return the detail of an effect.
 
         Args:
-            number: The effect.
             alike: Effects that explain the residuals as well, and this one, in rising order, (n_alike,).
-            n_tested: Number of effects that were tested.
         """
         return self.details[number]
 

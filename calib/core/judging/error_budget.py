@@ -75,8 +75,6 @@ class ErrorBudget:
 
     Attributes:
         used: Whether it covers the used readings, corrected for the fit to them; else the validation readings.
-        part: Part of the readings that it covers.
-        n_readings, n_poses: Number of these readings, and of their poses.
         before, after: Mean square error of a reading before and after [SI, squared].
         shares: The causes, then the rest; they add up to `before`.
         noise_from: `repeats` or `stated`; empty where the noise is not known.

@@ -25,7 +25,6 @@ class LinearFit:
     Attributes:
         rows: Its whitened rows, with the weights of a robust loss.
         span: J T, the directions that the fit absorbs, (n_rows, rank), with T of `calib.core.numerics.observability`.
-        freedom: Degrees of freedom.
         factor: Found over assumed noise.
         pose_freedom: Degrees of freedom of the scatter of poses, where they scatter more than independent readings;
             else infinite.

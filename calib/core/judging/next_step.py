@@ -57,7 +57,6 @@ class NextStep:
         """Return the sentence with the user's files in place of `ROBOT`, `DATA` and `DIR`.
 
         Args:
-            robot, data, folder: The files.
             options: The user's options for this kind of command, with their values, by name.
         """
         files = {ROBOT: shlex.quote(robot), DATA: shlex.join(data), FOLDER: shlex.quote(folder)}

@@ -142,7 +142,6 @@ def pose_error_over_repeatability(errors: ErrorSet, n_effective: float) -> tuple
     The ratio is NaN and its chance 1 if there are no repeats, or if they do not scatter at all.
 
     Args:
-        errors: Errors of the used visits.
         n_effective: Number of parameters that they decided.
     """
     deviation, n_free = repeatability(errors)
@@ -170,7 +169,6 @@ def iso_figures(errors: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFig
 
     Args:
         errors: Errors after calibration, prediction minus read.
-        rng: Source of the draws that make intervals.
     """
     names = dict(zip(errors.data.pose_numbers.tolist(), errors.data.names, strict=True))
     several = _pose_scatters(errors)

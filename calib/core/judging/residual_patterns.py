@@ -79,7 +79,6 @@ class _EffectTests:
     Attributes:
         effects: Effects of one kind and name.
         numbers: Their numbers, (m,).
-        freedom: Degrees of freedom of the residuals.
         ratios: F of the module docstring, (m,).
         ranks: Columns left after M, (m,).
         gains: Decrease of |r|^2, (m,).
@@ -112,7 +111,6 @@ class _EffectTests:
         """Return the detail of an effect; for a wave all numbers of cycles that explain the residuals as well.
 
         Args:
-            row: The effect.
             margin: Difference of gains in |r|^2 that noise could have caused.
         """
         alike = self.numbers[self.gains > self.gains[row] - margin]

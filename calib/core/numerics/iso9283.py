@@ -122,7 +122,6 @@ def drift(blocks: Sequence[FloatArray], rng: np.random.Generator) -> tuple[Figur
 
     Args:
         blocks: Attained minus commanded positions of blocks of cycles in the order of time, (n, 3) each [m].
-        rng: Source of the draws that make the intervals.
     """
     tail = _TAIL / len(blocks)
     accuracy = [pose_accuracy(block, tail) for block in blocks]

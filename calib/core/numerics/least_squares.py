@@ -129,9 +129,7 @@ class LeastSquaresSolution:
         x: The unknowns, (n,).
         residuals: r(x), (m,).
         jacobian: J(x) as the caller's function returned it, (m, n).
-        cost: |r|^2.
         converged: Whether a stopping rule was met before the evaluations ran out.
-        evaluations: Number of evaluated points.
         message: The rule that ended it.
         recedes: Whether the minimum was given up because it recedes.
     """

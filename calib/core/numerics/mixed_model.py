@@ -75,7 +75,6 @@ class MixedModel(ReadOnlyArrays):
     """The model with its rows rotated and its columns replaced by components.
 
     Attributes:
-        rows: The rows before rotation.
         parts: Groups of columns and their components, in their order.
         x: Columns of all parts, rows rotated, (n_rows, n).
         y: Values, rotated, (n_rows,).

@@ -262,7 +262,6 @@ def find_factors(
         residuals: Whitened, (n_rows,).
         span: J T of the whitened rows, with T of rows and priors, (n_rows, rank).
         groups: Group of each row, (n_rows,); -1 for rows that were not read.
-        n_groups: Number of groups.
         confirmed: Degrees of freedom with which the assumed noise was confirmed before, (n_groups,); they count like
             readings whose residuals are as large as assumed.
 
@@ -298,7 +297,6 @@ def statistics(
         known: Information of these rows (times the root of `factors.slope`) and of the priors.
         factors: Factors on the noise, from the residuals.
         scales: s of the module docstring, (n_free,) [m, rad].
-        prior: Prior of the parameters.
         poses, beyond_linear: Attributes of the result.
         by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
     """

@@ -56,9 +56,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
     """A saved fit.
 
     Attributes:
-        path: Its folder.
         nominal: The robot as described to the fit.
-        robot: The calibrated robot.
         content: Content of its `result.json`, in mm and degrees, as the fit wrote it.
         saved: The saved fit of the folder (`calib.core.results.saved_fit`).
     """

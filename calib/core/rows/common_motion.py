@@ -103,7 +103,6 @@ class CommonMotion(ReadOnlyArrays):
 
     Attributes:
         robot: The robot, with base and tools moved.
-        loose: The places that were moved.
         joints: The poses, (n, n_actuated) [m or rad].
         centre: c, (3,) [m].
         basis: V, (n_motions, k); no columns where nothing was moved.

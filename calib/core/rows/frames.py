@@ -142,7 +142,6 @@ class CorrectionFrame(ReadOnlyArrays):
         known: The calibrated robot with its uncertainty.
         robot: The calibrated robot; its own parameters are as near to nominal as readings allow.
         meant: The nominal robot, with its base and tools placed in this frame.
-        nominal: The robot of the description.
         words: Name of the frame in a sentence.
         counts: Mask of the free parameters that move positions in this frame, (n_free,).
         motion: The common motion that does not count; None where all counts.
@@ -174,7 +173,6 @@ class CorrectionFrame(ReadOnlyArrays):
 
         Args:
             q: Commands, (n, n_actuated) [m or rad].
-            context: Conditions of the commands.
 
         Raises:
             UnreachablePoseError: A loop stays open.
@@ -195,7 +193,6 @@ class CorrectionFrame(ReadOnlyArrays):
 
         Args:
             q: Commands, (n, n_actuated) [m or rad].
-            context: Conditions of the commands.
 
         Returns:
             In the axes of the frame, (n, n_targets, 6).

@@ -76,11 +76,8 @@ def observe(
     """Compare readings with those that the robot predicts.
 
     Args:
-        robot: The robot, at its current values.
-        configurations: Its assembled visits.
         readings: Readings of each instrument, by name; visits are indices into the configurations.
         joints: Whether to include derivatives by the actuated joints.
-        derivatives: Whether to compute derivatives.
         index: Parameters (k,) of the derivatives, if not all; those by others are left 0.
     """
     mechanism = robot.mechanism
@@ -213,8 +210,6 @@ def predict_readings(
     """Return the readings of instruments without noise.
 
     Args:
-        robot: The robot, at its current values.
-        configurations: Its assembled visits.
         looks: Visits, pairs and details of each instrument's readings; all that it can read at every visit, if not
             given.
     """
@@ -236,8 +231,6 @@ def views_of_instruments(
     """Return the input of each instrument at each of its readings, by name: frames, or values of a joint (n,).
 
     Args:
-        robot: The robot, at its current values.
-        configurations: Its assembled visits.
         looks: Visits and pairs of each instrument's readings.
     """
     mechanism = robot.mechanism

@@ -297,7 +297,6 @@ class UncertaintyJacobian(ReadOnlyArrays):
 
     Attributes:
         robot: The robot, with undecided joint terms, their coefficients zero.
-        configurations: Its poses, loops closed.
         positions: (n_poses, n_targets, 3) [m].
         jacobian: Derivative of positions and, if requested, small turns, (n_poses, n_targets, 3 or 6, n_uncertain): by
             the free parameters, by coefficients of undecided terms, then by joints with an error at each pose.
@@ -372,11 +371,8 @@ class ParameterUncertainty(ReadOnlyArrays):
         """Linearise positions and turns of all targets by all uncertain quantities.
 
         Args:
-            robot: The calibrated robot.
             q: Commands, (n_poses, n_actuated) [m or rad].
-            context: Conditions of the commands.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
-            turns: Whether to include turns.
 
         Raises:
             UnreachablePoseError: A loop stays open.
@@ -426,7 +422,6 @@ class ParameterUncertainty(ReadOnlyArrays):
         """Predict positions of all targets, loops closed, with the covariance of positions and orientations.
 
         Args:
-            robot: The calibrated robot.
             q: Commands, (n_poses, n_actuated) [m or rad].
             context: Conditions of the commands; joint terms may depend on them.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].

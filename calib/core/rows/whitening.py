@@ -25,7 +25,6 @@ class Whitening:
 
     Args:
         robot: Robot whose instruments state their noise.
-        data: The readings.
         sigma: Noise of positions per axis that replaces the stated one [m].
 
     Attributes:
@@ -120,7 +119,6 @@ class Whitening:
         Args:
             observed: Observed rows of each instrument, by name.
             groups: Scale of the noise of each group, (n_groups,).
-            unknowns: The parameters of the columns.
             values: Values of all parameters at which they were observed, (n_parameters,) [m or rad].
         """
         residuals = self.whiten({name: observed[name].residuals for name in self._names}, groups)

@@ -56,7 +56,6 @@ class KindModel:
 
     Attributes:
         robot: The robot with terms of all kinds.
-        families: The families of the model.
         of_kinds: Mask of the families that come from `kinds`, (n_families,).
     """
 

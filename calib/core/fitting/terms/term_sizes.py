@@ -82,9 +82,6 @@ _LIMITS = (0.025, 0.975)
 def size_terms(fit: Fit) -> TermChoice:
     """Return the terms of the joints' errors with the sizes that measurements show.
 
-    Args:
-        fit: The fit with the described terms of its robot.
-
     Raises:
         DataError: Too few poses.
     """

@@ -124,9 +124,9 @@ class Problem(ReadOnlyArrays):
         """
         columns = term_columns(robot, data.joints, data.conditions)
         passive = robot.assemble(data.joints, near, data.labels, data.conditions).passive
-        return Problem(
-            robot, data, sigma, columns, passive, *_as_stated(robot, whitening or Whitening(robot, data, sigma))
-        )
+        whitening = whitening or Whitening(robot, data, sigma)
+        unknowns = Unknowns.from_robot(robot)
+        return Problem(robot, data, sigma, columns, passive, whitening, unknowns, whitening.is_unstated)
 
     def with_readings(self, data: Measurements, passive: FloatArray) -> Problem:
         """Return the problem of other readings at the same visits, joint values and conditions.
@@ -134,16 +134,9 @@ class Problem(ReadOnlyArrays):
         Args:
             passive: Passive joints near the solution of that problem, (n, n_passive) [m or rad].
         """
-        if self.whitening.applies_to(data):
-            return replace(self, data=data, passive=passive)
-        return Problem(
-            self.robot,
-            data,
-            self.sigma,
-            self.columns,
-            passive,
-            *_as_stated(self.robot, Whitening(self.robot, data, self.sigma)),
-        )
+        known = self.whitening.applies_to(data)
+        whitening = self.whitening if known else Whitening(self.robot, data, self.sigma)
+        return replace(self, data=data, passive=passive, whitening=whitening, noise_found=whitening.is_unstated)
 
     def contradicted_groups(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
         """Return a mask of the groups whose found scale contradicts their stated noise, (n_groups,).
@@ -368,8 +361,3 @@ class _SolverRows:
             if len(w) < MANY_COLUMNS:
                 model.remember(problem.compressed(evaluation, groups, unknowns, rows).factor)
         return model
-
-
-def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray]:
-    """Whitening, unknowns, and groups whose noise is to be found, before the first fit."""
-    return whitening, Unknowns.from_robot(robot), whitening.is_unstated

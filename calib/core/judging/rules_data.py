@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import FloatArray
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun, joints_named, listing
 from calib.core.data.measurements import Measurements
@@ -266,13 +266,10 @@ def leverage(fit: Fit) -> Iterator[Reason]:
         rows = fit.rows.select_parameters(lasting)
         root = rows.with_weights(fit.weights).posterior_information.root
         deciding &= rows.studentise(root, fit.weights, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
-    high = _visits(fit, np.flatnonzero(deciding))
+    visits = dict.fromkeys(fit.rows.layout.visit[np.flatnonzero(deciding)].tolist())
+    high = [fit.identification.data.labels[k] for k in visits]
     if high and fit.statistics.freedom >= FEW:
         yield Code.LEVERAGE.says(
             f"{count_noun(len(high), 'pose decides its', 'poses decide their')} own prediction, so an error there would"
             f" not show: {listing(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}"
         )
-
-
-def _visits(fit: Fit, readings: IntArray) -> list[str]:
-    return [fit.identification.data.labels[k] for k in dict.fromkeys(fit.rows.layout.visit[readings].tolist())]

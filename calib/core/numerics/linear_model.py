@@ -68,20 +68,10 @@ class LinearModel:
         """Store `factor` (n_free + 1, n_free + 1), where it is known already."""
         vars(self)["factor"] = factor
 
-    @property
-    def _triangle(self) -> FloatArray:
-        """Triangular factor of J, (n_free, n_free) or fewer rows."""
-        return self.factor[: self.jacobian.shape[1], :-1]
-
     @cached_property
     def posterior_information(self) -> Information:
         """Information of these rows and the priors."""
-        return information(self._triangle, self.prior.rows)
-
-    @cached_property
-    def data_information(self) -> Information:
-        """Information of these rows without priors."""
-        return information(self._triangle)
+        return information(self.factor[: self.jacobian.shape[1], :-1], self.prior.rows)
 
     @cached_property
     def span(self) -> Span:

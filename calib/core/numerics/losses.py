@@ -270,9 +270,5 @@ def studentised(
     scale = float(np.median(size / median_length(widths))) if scale is None else scale
     scale = max(scale, _NO_NOISE)
     ratio = size / scale
-    chance = _chance(ratio, widths, freedom)
+    chance = np.asarray(scipy.special.fdtrc(widths, max(freedom / 2.0, 1.0), ratio**2 / widths))
     return StudentisedErrors(ratio, leverages, largest, chance, scale)
-
-
-def _chance(ratio: FloatArray, widths: IntArray, freedom: FloatArray | float) -> FloatArray:
-    return np.asarray(scipy.special.fdtrc(widths, np.maximum(freedom / 2.0, 1.0), ratio**2 / widths))

@@ -300,7 +300,7 @@ class SolvedModel(ReadOnlyArrays):
         """Squared residuals of each group of rows, and their degrees of freedom, (n_groups,) each."""
         rows, n = self.model.rows, len(self.model.rows.has_stated_noise)
         squares, freedom = self.variance * self.whitened_residuals**2, rows.stands_for - self._leverage
-        return np.bincount(rows.group, squares, n), np.bincount(rows.group, freedom, n)
+        return np.bincount(rows.group, squares, n) * 1.0, np.bincount(rows.group, freedom, n) * 1.0
 
     def freedom(self, families: IntArray) -> float:
         """Return how many coefficients of some families (k,) the rows decide."""

@@ -75,15 +75,13 @@ class PossibleChanges:
 
     Attributes:
         name: The parameter, or `zero of JOINT`.
-        index: Index among the free parameters, or among the actuated joints.
-        is_joint: Whether `index` counts actuated joints.
+        index: Index among the actuated joints, then the free parameters.
         scale: Unit of the change [m or rad].
     """
 
     name: str
     dimension: Dimension
     index: int
-    is_joint: bool
     scale: float
 
 
@@ -94,13 +92,13 @@ def candidates(robot: Robot) -> list[PossibleChanges]:
     """
     free = np.flatnonzero(robot.is_free)
     parameters = [
-        PossibleChanges(p.name, p.dimension, k, False, p.sigma_si)
+        PossibleChanges(p.name, p.dimension, len(robot.joint_names) + k, p.sigma_si)
         for k, p in enumerate(robot.parameters[i] for i in free)
         if not p.placement and not p.family and free[k] < robot.n_origin_parameters
     ]
     mechanism = robot.mechanism
     zeros = [
-        PossibleChanges(f"zero of {name}", mechanism.dimensions[name], j, True, _JOINT_STEP * float(scale))
+        PossibleChanges(f"zero of {name}", mechanism.dimensions[name], j, _JOINT_STEP * float(scale))
         for j, (name, scale) in enumerate(zip(robot.joint_names, mechanism.joint_scale, strict=True))
     ]
     return zeros + parameters
@@ -171,7 +169,8 @@ class System:
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         columns = np.hstack([jacobian[:, index] @ root, unit_columns(jacobian[:, placed])[0]])
         prior = Prior(np.arange(columns.shape[1]) < root.shape[1])
-        candidate_columns = _candidate_columns(robot, np.hstack([jacobian, joints]), len(unknowns))
+        by_all = np.hstack([_JOINT_STEP * robot.mechanism.joint_scale * joints, jacobian])
+        candidate_columns = by_all[:, [candidate.index for candidate in candidates(robot)]]
         errors = {name: block.residuals for name, block in observed.items()}
         return System(
             promise,
@@ -282,16 +281,6 @@ class System:
         ]
         changes.sort(key=lambda change: -round(abs(change.z), 1))  # to a tenth: nearer ones in the listed order
         return tuple(changes)
-
-
-def _candidate_columns(robot: Robot, columns: FloatArray, n_free: int) -> FloatArray:
-    return np.stack(
-        [
-            c.scale * columns[:, n_free + c.index] if c.is_joint else columns[:, c.index]  # parameters are scaled
-            for c in candidates(robot)
-        ],
-        axis=1,
-    )
 
 
 def six_digits(value: float) -> float:

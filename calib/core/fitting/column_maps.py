@@ -9,7 +9,7 @@ matrix, so that base and target follow from one linear system.
 
 When it fails. The poses of robots with loops are expensive to close. For these robots, only single mistakes are tried
 (an order, a zero or a scale), and one or two signs. A map that takes joints beyond their limits is left out. Scales are
-found to some percent; `calib.core.fitting.scaled_joints` finds them by a fit.
+found to some percent; `calib.core.fitting.likely_mistakes` finds them by a fit.
 """
 
 from __future__ import annotations

@@ -13,6 +13,11 @@ When it fails. Mistakes of two kinds at once are not found. A robot with a wrong
 known is always far off; the verdict looks for that first. Only instruments that measure points are examined here.
 Without any, see `photographed_points` for images, else `calib.core.fitting.mistaken_readings`.
 
+Scales. A controller may count in gon, a range may be mapped, or a gear ratio may be wrong. Then the file has x, and the
+joint is at q = g x + b. The nominal robot is fitted with a gain of each joint that moved and its own parameters, which
+absorb b. A factor is reported if it differs from one by more than one percent and by more than its uncertainty allows.
+If a joint is scaled by two, the fit may not converge from the values of the file.
+
 Photographs. Each gives the board's pose in the camera, whatever the joints are. So a robot with a camera is like a
 robot whose target, the board's origin, is measured in a frame of unknown place on the link that carries the camera. A
 sensor that reads positions of a point itself is like that, too. The depth of a small board is uncertain, and its pose
@@ -21,8 +26,9 @@ may be one of two that look alike. Such positions show signs, quarter turns and 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
 from typing import Any
 
@@ -37,14 +43,18 @@ from calib.core.data.in_memory import plain_readings
 from calib.core.data.measurements import Measurements, with_points
 from calib.core.data.tables import read_table
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
+from calib.core.fitting.fit import fit_data
+from calib.core.fitting.joint_conventions import uncounted_turns
 from calib.core.fitting.mistaken_readings import Trial, joint_value_trials, mistaken_readings, some_visits
-from calib.core.fitting.scaled_joints import joint_scales
+from calib.core.fitting.pose_checks import unmoved_joints
+from calib.core.fitting.settings import Settings
 from calib.core.instruments.camera import rays, view_poses
 from calib.core.instruments.pixel import Pixel
 from calib.core.instruments.relation import Relation
 from calib.core.robots.description import BaseSection, TargetSection
 from calib.core.robots.loading import build
 from calib.core.robots.robot import Robot
+from calib.core.robots.terms.one_coefficient import Gain
 from calib.core.rows.registration import register
 
 LARGE_NOISE = 0.1
@@ -59,6 +69,11 @@ _ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own err
 _READ = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _WRITTEN = dict(_READ, inches=0.0254, feet=0.3048, cm=1e-2) | {"tenths of an inch": 2.54e-3}
 """Units in which the program reads positions, and units in which a file may have them [m]."""
+SCALED = 0.01
+"""Relative error of a scale that no gear, belt or screw has."""
+SURE = 6.0
+"""A gain of more standard deviations is not chance."""
+_EXPECTED = 0.3  # sigma of the gains
 
 
 @one_blas_thread
@@ -300,3 +315,46 @@ def _positioned(
     }
     positioned = build(robot.description.model_copy(update=changes), robot.urdf, robot.path)
     return positioned, replace(data, readings={next(iter(target)): plain_readings(points)}, robot=positioned)
+
+
+@dataclass(frozen=True)
+class JointScales:
+    """Scales of joints, from a fit with gains.
+
+    Attributes:
+        map: The map that corrects joint values; factors of joints with a right scale are one.
+        std: Standard deviations of the factors, (n_actuated,).
+        noise: Noise of the fit, per axis [m].
+    """
+
+    map: ColumnMap
+    std: tuple[float, ...]
+    noise: float
+
+
+def joint_scales(robot: Robot, data: Measurements, at: ColumnMap | None = None) -> JointScales | None:
+    """Return the scales of joints; None if the fit fails.
+
+    Args:
+        at: Likely map of the columns, from which the fit starts; the plain one if not given.
+    """
+    names = robot.joint_names
+    at = at or ColumnMap.plain(len(names))
+    mapped = replace(data, joints=at.joints(data.joints))
+    apart = {*unmoved_joints(robot, mapped.joints), *uncounted_turns(robot, mapped.joints)}
+    sections = tuple(Gain.section(joint=name, term=Gain.word, sigma=_EXPECTED) for name in names if name not in apart)
+    own = tuple(section for section in robot.description.terms if section.term != Gain.word)
+    try:
+        geared = robot.with_terms((*own, *sections))
+        fit = fit_data(geared, Settings(), mapped)
+    except CalibrationError:
+        return None
+    found = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
+    known = dict(zip(fit.free_names, fit.statistics.std, strict=True))
+    factors, std = list(at.factors), [0.0] * len(names)
+    for j, name in enumerate(names):
+        gain = f"{name}.{Gain.word}"
+        factor, size = abs(at.factors[j]) * (1.0 + found.get(gain, 0.0)), abs(at.factors[j]) * known.get(gain, 0.0)
+        off = abs(factor - 1.0) > max(SCALED, SURE * size)
+        factors[j], std[j] = math.copysign(factor if off else 1.0, at.factors[j]), float(size)
+    return JointScales(replace(at, factors=tuple(float(factor) for factor in factors)), tuple(std), float(fit.sigma))

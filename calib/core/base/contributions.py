@@ -39,7 +39,7 @@ class Contribution(Enum):
     SIZES = (
         "sizes of families",
         "the amplitude of a curve was estimated from the same readings",
-        "numerics.prior_sizes",
+        "numerics.size_search",
         (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
     )
     REGIONS = (

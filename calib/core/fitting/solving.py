@@ -33,8 +33,7 @@ from calib.core.numerics.clusters import Scatter, scatter
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE
 from calib.core.numerics.linear_model import LinearModel
-from calib.core.numerics.prior_sizes import variance_by_sizes
-from calib.core.numerics.size_search import find_sizes
+from calib.core.numerics.size_search import find_sizes, variance_by_sizes
 from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, find_factors, statistics
 from calib.core.numerics.tall import Span
 from calib.core.robots.robot import Robot

@@ -180,13 +180,9 @@ def shifts_without_block(
     moved, largest = np.zeros(len(residuals)), np.zeros(int(block.max(initial=-1)) + 1)
     for rows in blocks_of_equal_length(block):
         own = span[rows] if further_columns is None else np.concatenate([span[rows], further_columns[rows]], axis=2)
-        across, left, tall = own.transpose(0, 2, 1), residuals[rows][:, :, None], own.shape[1] > own.shape[2]
-        values, vectors = linalg.eigh(np.matmul(across, own) if tall else np.matmul(own, across))
-        values = np.clip(values, 0.0, 1.0)
-        gain = np.where(values < alone, 1.0 / np.maximum(1.0 - values, 1.0 - alone), 0.0)[:, :, None]
-        pull = np.matmul(across, left) if tall else left
-        further_on = np.matmul(vectors, gain * np.matmul(vectors.transpose(0, 2, 1), pull))
-        step = further_on if tall else np.matmul(across, further_on)
+        values, errors, turned = directions(own, residuals[rows])
+        gain = np.where(values < alone, 1.0 / np.maximum(1.0 - values, 1.0 - alone), 0.0)
+        step = np.matmul(turned.transpose(0, 2, 1), (gain * errors)[:, :, None])
         moved[rows] = np.matmul(own if seen is None else seen[rows], step)[:, :, 0]
         largest[block[rows[:, 0]]] = values[:, -1]
     return moved, largest

@@ -19,7 +19,7 @@ groups of rows (instruments, or position and orientation), each with its own fac
 
 Where the readings of a pose share errors, or some poses scatter more than others, beyond chance, the sum between T and
 its transpose is replaced by the scatter of the poses themselves (`calib.core.numerics.clusters`).
-`calib.core.numerics.prior_sizes` adds to C where the size of some priors was found from the same data.
+`calib.core.numerics.size_search` adds to C where the size of some priors was found from the same data.
 `calib.core.fitting.robust` gives f and its counterpart in C with a robust loss.
 `calib.core.fitting.curvature` adds to the variance in intervals if only a prior holds a direction in the linear model,
 but readings see it beyond that. The addition is no part of C, nor of std. It takes longer than all the rest, and is

@@ -26,7 +26,7 @@ Results:
                  drawn sizes of all kinds that the rows leave open, cov u = mean of C + covariance of u: its excess
                  over C of the fitted sizes is added to the covariance of the fit. Sizes of fitted curves are not
                  drawn: the fit finds them again, and counts their uncertainty
-                 (`calib.core.numerics.prior_sizes`)
+                 (`calib.core.numerics.size_search`)
 
 Measured on real robots (`docs/theory/joint_terms.md`): weighting the fit itself by the error of joints was no better on
 one tracked arm and much worse where a camera reads several points of a pose, whose noise has another shape. Time and

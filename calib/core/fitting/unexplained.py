@@ -81,7 +81,7 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
         return UnexplainedErrors(found)
     stated = np.array([group.stated for group in groups])
     kinds = () if sized or np.all(stated) else _kinds_of_few_coefficients(fit)
-    model, units = KindModel(fit, kinds, fit.unknowns.scales), np.where(stated, 1.0, fit.scales)
+    model, units = KindModel(fit, kinds), np.where(stated, 1.0, fit.scales)
     read = model.informative_rows
     read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
     at = solve_beside_noise(MixedModel.from_rows(model.rows(read, units, stated), _SHORTEST))

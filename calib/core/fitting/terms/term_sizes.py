@@ -110,7 +110,7 @@ class _TermModel:
         self._fit, self._kinds, self._kind_model = fit, kinds, KindModel(fit, kinds)
         self._families, read = self._kind_model.families, self._kind_model.informative_rows
         self._terms = np.array([family.term for family in self._families], dtype=np.str_)  # of each family
-        self._requested_kinds = frozenset(map(str, self._terms[self._kind_model.of_kinds]))
+        self._requested_kinds = frozenset(map(str, self._terms))
         # divided by the noise that the fit found: stated noise contains no errors of the robot
         self._rows = self._kind_model.rows(read, fit.scales, np.zeros(len(fit.scales), dtype=bool))
         self._solved_model = likeliest_sizes(MixedModel.from_rows(self._rows))
@@ -145,7 +145,7 @@ class _TermModel:
 
     def _absent(self, kinds: frozenset[str]) -> BoolArray:
         """Mask of the families of all other requested kinds, (n_families,)."""
-        return self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds))
+        return ~np.isin(self._terms, list(kinds))
 
     def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
         """Upper bound of a kind's gain of log likelihood, from the sets solved so far: more kinds fit better."""
@@ -243,13 +243,7 @@ class _TermModel:
         logs = np.where(fitted, self._chosen_model.logs, self._smallest_logs)
         tried = tuple(section for candidate in self._kinds for section in candidate.sections)
         others = missing_terms(self._fit.robot.with_terms(fitted_terms), tried)
-        draws = np.where(fitted & self._has_size_in_fit, logs, self._draws)
+        curves = [kind.term for kind in self._kinds if kind.is_curve_in(self._kind_model.robot)]
+        sized = np.isin(np.arange(len(logs)), np.flatnonzero(np.isin(self._terms, curves)))
+        draws = np.where(fitted & sized, logs, self._draws)  # a fit finds the sizes of curves again
         return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, draws, others)
-
-    @cached_property
-    def _has_size_in_fit(self) -> BoolArray:
-        """Mask of the sizes that a fit finds, and whose uncertainty it counts, (n_sizes,): those of curves."""
-        model = self._kind_model
-        curves = [kind.term for kind in self._kinds if kind.is_curve_in(model.robot)]
-        found = ~model.of_kinds | np.isin(self._terms, curves)
-        return np.append(found, np.zeros(len(self._smallest_logs) - len(found), dtype=bool))

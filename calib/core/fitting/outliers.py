@@ -62,10 +62,6 @@ class Outlier:
         return f"{what}: {self.size} off, {self.studentised:.1f} times the error expected there"
 
 
-class Outliers(tuple[Outlier, ...]):
-    """Outliers, worst first."""
-
-
 def outliers_of(studentised: StudentisedErrors, error_set: ErrorSet, layout: Layout) -> tuple[Outlier, ...]:
     """Return the outliers of a set, worst first."""
     together = _n_far_off(studentised, layout)

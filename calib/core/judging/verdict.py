@@ -30,7 +30,7 @@ from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import likely_mistake
-from calib.core.fitting.outliers import Outlier, Outliers
+from calib.core.fitting.outliers import Outlier
 from calib.core.judging import (
     findings,
     rules_data,
@@ -291,12 +291,12 @@ class JudgedFit(Fit):
     @property
     def outliers(self) -> tuple[Outlier, ...]:
         """Used readings further off than noise explains, worst first."""
-        return Outliers(findings.outliers(self))
+        return findings.outliers(self)
 
     @property
     def validation_outliers(self) -> tuple[Outlier, ...]:
         """Validation readings further off than noise and uncertainty explain, worst first."""
-        return Outliers(findings.validation_outliers(self))
+        return findings.validation_outliers(self)
 
     @property
     def patterns(self) -> tuple[Pattern, ...]:

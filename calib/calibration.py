@@ -30,7 +30,6 @@ from calib.core.results.loaded_result import CalibratedRobot
 from calib.core.results.report_text import summary, text_report, verdict_lines
 from calib.core.results.result_content import to_dict
 from calib.core.results.results import save
-from calib.core.results.sections.accuracy import error_sets
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import terms_text
@@ -57,7 +56,7 @@ class Calibration(JudgedFit, CalibratedRobot):
                 "unit": ERROR_UNIT[part.dimension],
             }
             | {key: value for key, value in error_table(values[:, rows], part).items() if isinstance(value, float)}
-            for label, error_set in error_sets(self)
+            for label, error_set in self.error_sets.items()
             for state, residuals in (("before", error_set.before), ("after", error_set.after))
             for instrument, part, rows in error_set.parts()
             for values in (residuals[instrument.name],)

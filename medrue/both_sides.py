@@ -28,7 +28,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import results_in_order
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
-from calib.core.fitting.fit import WarmStart, fit_data
+from calib.core.fitting.fit import fit_data
 from calib.core.fitting.settings import Settings
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
@@ -205,7 +205,7 @@ def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
         for s, pose_set in enumerate(task.sets):
             data = measurements_of_visits(model, task.joints, measured, *_visits(way, pose_set, either))
             try:
-                fit = fit_data(model, how, data, nearby=WarmStart.without_intervals(model))
+                fit = fit_data(model, how, data)
             except NotIdentifiableError:  # too few readings for so many parameters
                 continue
             if not fit.converged:

@@ -21,7 +21,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import results_in_order
-from calib.core.fitting.fit import WarmStart, fit_data
+from calib.core.fitting.fit import fit_data
 from calib.core.fitting.settings import Settings
 from calib.core.robots.robot import Robot
 from medrue.both_sides import COUNTS, BothSides, run_both_sides
@@ -170,7 +170,7 @@ def experiment_draw(task: ExperimentTask) -> ExperimentDraw:
     for pose_set in task.sets:
         data = measurements(task.robot, task.joints, readings.positions, pose_set.chosen)
         how = Settings(sigma=SIGMA / float(np.sqrt(REPEATS)))
-        result = fit_data(task.robot, how, data, nearby=WarmStart.without_intervals(task.robot))
+        result = fit_data(task.robot, how, data)
         after.append(result.robot.positions(task.joints)[:, 0] - readings.positions)
         values.append(result.robot.values)
         spread = np.zeros(len(result.robot.values))

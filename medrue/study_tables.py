@@ -7,6 +7,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.units import micrometres, millimetres
 from calib.core.base.words import count_noun
+from calib.core.numerics.observability import information
 from medrue.paper_tables import error_table, table1
 from medrue.ranking import LEGEND, Ranking, agreement, rank, ranking_table, standard_error
 from medrue.result_tables import ResultTable, TableColumn
@@ -64,7 +65,7 @@ def parameter_table(study: PaperStudy) -> ResultTable:
 
 def _predicted_std(study: PaperStudy) -> FloatArray:
     """Standard deviations of the free parameters that the stated noise predicts, (n_free,) [m, rad]."""
-    return study.exact.unknowns.scales * study.exact.rows.data_information.standard_deviations()
+    return study.exact.unknowns.scales * information(study.exact.rows.jacobian).standard_deviations()
 
 
 def error_tables(study: PaperStudy) -> ResultTable:

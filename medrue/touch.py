@@ -30,7 +30,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import results_in_order
-from calib.core.fitting.fit import WarmStart, fit_data
+from calib.core.fitting.fit import fit_data
 from calib.core.fitting.settings import Settings
 from calib.core.robots.robot import Robot
 from calib.planning.assessment import Assessment, check
@@ -206,7 +206,7 @@ def touch_draw(task: TouchTask) -> FloatArray:
     for method in task.methods:
         data = method.measured(task.actual, generator)
         how = Settings(sigma=SIGMA if isinstance(method, TrackerMethod) else None)
-        calibrated = fit_data(method.robot, how, data, nearby=WarmStart.without_intervals(method.robot)).robot
+        calibrated = fit_data(method.robot, how, data).robot
         distances.append(_errors_of_fit(calibrated, task.joints, truth))
     tool = {name: float(task.actual[PARAMETERS.index(name)]) for name in TOOL_POINT}
     return np.array([*distances, _errors_of_fit(calibrated.with_parameters(tool), task.joints, truth)])

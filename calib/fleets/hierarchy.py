@@ -18,7 +18,7 @@ everything else is normal:
     t_k^2 = (nu r^2 + sum_i d_ik^2) / f_k,  f_k = nu + sum_i (1 - C_i,kk / t_k^2)
 
 The last line is iterated until it converges. It maximises the restricted marginal likelihood, as for variance
-components (`calib.core.numerics.variance_components`), and f_k are degrees of freedom. The prediction for one more
+components (`calib.core.numerics.size_search`), and f_k are degrees of freedom. The prediction for one more
 robot has Student tails. It is replaced by a normal with the same variance, t_k^2 f_k / (f_k - 2), whose 95 % intervals
 are right.
 

@@ -25,7 +25,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError
 from calib.core.instruments.camera import NAMES
 from calib.core.numerics import linalg
-from calib.core.numerics.clusters import LeftOutBlocks
+from calib.core.numerics.clusters import shifts_without_block
 from calib.photographs.camera_alone import camera_alone
 from calib.photographs.estimation import HandEyeEstimate, estimate, predict_left_out_images, rms, solve
 from calib.photographs.lens_choice import free_lens, unlikely
@@ -240,7 +240,7 @@ def _explains(scene: BoardScene, fitted: HandEyeEstimate, k: int, which: str) ->
         flat, image = columns.reshape(r.size, -1), np.repeat(scene.image, 2)
         span = np.linalg.qr(flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300))[0]
         left = r.ravel() - span @ (span.T @ r.ravel())
-        return float(np.sum((left + LeftOutBlocks(span, image).shifts_without_block(left, alone=1.0 - 1e-9)[0]) ** 2))
+        return float(np.sum((left + shifts_without_block(span, image, left, alone=1.0 - 1e-9)[0]) ** 2))
 
     return error(wide) < _BETTER * error(j)
 

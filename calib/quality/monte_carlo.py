@@ -24,8 +24,8 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Progress
 from calib.core.numerics import linalg
 from calib.core.numerics.least_squares import minimise
-from calib.core.numerics.prior_sizes import spread_of_sizes
 from calib.core.numerics.rigid import best_transform
+from calib.core.numerics.size_search import spread_of_sizes
 from calib.core.robots.traceability import TraceabilitySection
 from calib.core.rows.observed import observe
 from calib.core.rows.rows import Rows

@@ -10,7 +10,7 @@ readings moves parameters by s T T^T J^T W dy, and positions by B times that, B 
     readings        B s T (core - S - V) T^T s B^T    type A; independent parts of each reading
     prior           B s T S T^T s B^T                 type B; S the share of the priors
     sizes           B s T V T^T s B^T                 type A; of joint terms whose sizes come from the same readings
-                                                      (`calib.core.numerics.prior_sizes`)
+                                                      (`calib.core.numerics.size_search`)
     instrument      u . |B s T T^T J^T W dy/dx|       type B; scale and offset of lengths, offset of angles, focal
                                                       length and principal point of a camera: fully correlated, no
                                                       number of poses makes them smaller
@@ -42,7 +42,7 @@ from calib.core.judging.repeatability import doubtful_repeats, repeatability
 from calib.core.judging.row_derivatives import EffectSetting
 from calib.core.judging.verdict import JudgedFit
 from calib.core.numerics import linalg
-from calib.core.numerics.prior_sizes import variance_by_sizes
+from calib.core.numerics.size_search import variance_by_sizes
 from calib.core.numerics.statistics import prior_shares
 from calib.core.robots.traceability import TraceabilitySection
 from calib.core.rows.prediction import without_common_motion

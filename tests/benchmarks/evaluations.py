@@ -29,7 +29,6 @@ from calib.core.fitting.problem import Problem
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import place, solve_from
 from calib.core.numerics.least_squares import TOLERANCE, minimise
-from calib.core.numerics.linear_point import RowStack
 from calib.core.robots.terms.term import Context
 from medrue import robot_file
 from medrue.imperfections import from_direction
@@ -135,6 +134,11 @@ def subsets(joints, count):
         yield "nearest in joint space", np.sort(np.argsort(np.linalg.norm(scaled - scaled[centre], axis=1))[:size])
 
 
+def matrix_of(model):
+    """Rows of a linear model, above those of its prior."""
+    return np.vstack([model.jacobian, model.prior.rows])
+
+
 @one_blas_thread
 def against_minpack(robot, data):
     """Evaluations of the last solve of a fit and of MINPACK's from the same start, and both costs; none of no fit."""
@@ -146,7 +150,7 @@ def against_minpack(robot, data):
             theirs = scipy.optimize.least_squares(
                 lambda u: np.nan_to_num(residuals(u), nan=1e6),
                 start,
-                lambda u: RowStack.from_matrix(jacobian(u)).whole,
+                lambda u: matrix_of(jacobian(u)),
                 method="lm",
                 max_nfev=300,
             )
@@ -185,7 +189,7 @@ def lowest_costs(robot, data):
                 lambda seen, name=name: scipy.optimize.least_squares(
                     lambda u: np.nan_to_num(seen(u), nan=1e6),
                     start,
-                    lambda u: RowStack.from_matrix(jacobian(u)).whole,
+                    lambda u: matrix_of(jacobian(u)),
                     method=name,
                     **dict.fromkeys(("ftol", "xtol", "gtol"), 1e-15),
                     max_nfev=300,

@@ -10,8 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import calib
-from calib.core.rows.frames import program_frame
-from calib.core.rows.gauge import nearest_to_nominal
+from calib.core.rows.frames import nearest_to_nominal, program_frame
 from calib.core.rows.known_robot import known_robot
 from calib.core.rows.prediction import PositionUncertainty
 from calib.programs.commands.compensate import command

@@ -39,7 +39,7 @@ class Contribution(Enum):
     SIZES = (
         "sizes of families",
         "the amplitude of a curve was estimated from the same readings",
-        "numerics.prior_sizes",
+        "numerics.size_search",
         (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
     )
     REGIONS = (
@@ -69,7 +69,7 @@ class Contribution(Enum):
     FRAME = (
         "frame",
         "positions are in a base frame that is fitted to them; the uncertainty of this frame does not count",
-        "rows.reported_uncertainty",
+        "rows.frames",
         (Uncertainty.POSITION,),
     )
     LEFT_OUT = (

@@ -60,10 +60,7 @@ def calibrate(
     """Calibrate a robot.
 
     Args:
-        robot: The nominal robot.
-        data: Measurements to identify with.
         validation: Measurements to validate the result with, or None.
-        settings: Options of the fit.
         executor: Executor of the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
         progress: Function that is called after each step with the number of finished and of known steps. Steps are:
@@ -92,7 +89,6 @@ def _run_steps(
     workers: Executor | None,
     steps: Steps,
 ) -> Fit:
-    """Do the steps of the module docstring."""
     of_each = _OF_ONE_FIT + settings.starts - 1
     steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:
@@ -145,7 +141,7 @@ def _with_terms(
     elif terms == "auto":
         first = replace(settings, starts=1)
         minimum = minimum_of(robot, first, data, validation, steps=steps)
-        choice = size_terms(fit_at(minimum, first, steps=steps, nearby=WarmStart.without_intervals(robot)))
+        choice = size_terms(fit_at(minimum, first, steps=steps))
         steps.advance()
         if choice.sections == described:
             return robot, choice, minimum, None

@@ -52,7 +52,6 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
     Fits without joint terms are done at once; other robots are found at first use.
 
     Args:
-        settings: Its options.
         executor: Executor of the fits of other starts and of folds, as in `calib.core.calibrating.calibrate.calibrate`.
     """
     started, reduced = time.perf_counter(), dict[Holds, Fit]()
@@ -84,20 +83,17 @@ def _refit(
     workers: Executor | None = None,
     signs: FloatArray | None = None,
     *,
-    intervals: bool = True,
+    ranks: bool = True,
 ) -> Fit:
     """Fit another robot to the measurements of a fit, with the same options.
 
     Args:
-        settings: Options of the fit.
         workers: Workers for the fits of other starts and of folds.
         signs: Sign of each joint value, (n_actuated,).
-        intervals: Whether its intervals are used.
+        ranks: Whether ranks of held parameters are used.
     """
     data, validation = fit.identification.data, None if fit.validation is None else fit.validation.data
-    nearby = WarmStart.from_fit(fit)
-    if not intervals:
-        nearby = replace(WarmStart.without_intervals(robot, fit), free_alone=True)
+    nearby = replace(WarmStart.from_fit(fit), free_alone=not ranks)
     if signs is not None and np.any(signs < 0):
         data = replace(data, joints=signs * data.joints)
         validation = None if validation is None else replace(validation, joints=signs * validation.joints)
@@ -148,10 +144,9 @@ class FitFiles(Mapping[Holds, FileRobot]):
         return None if fitted is None else file_robot(fitted)
 
     def _refit(self, robot: Robot, signs: FloatArray | None = None) -> Fit:
-        return _refit(self._fit, robot, replace(self._settings, starts=1), signs=signs, intervals=False)
+        return _refit(self._fit, robot, replace(self._settings, starts=1), signs=signs, ranks=False)
 
     def _to_last_axis(self) -> FileRobot | None:
-        """The robot with nominal origins behind the last axis."""
         start = start_of(self._fit, Holds.ORIGINS)
         behind = behind_last_axis(start)
         nominal = {
@@ -166,7 +161,6 @@ class FitFiles(Mapping[Holds, FileRobot]):
         )
 
     def _zeros(self) -> FileRobot:
-        """The nominal robot with joint zeros."""
         nominal, signs = without_terms(self._fit.nominal, Holds.ZEROS).with_nominal_values(), self._signs()
         fitted = self._refit(with_zeros(nominal), signs)
         offsets = fitted.robot.values[fitted.robot.coefficients]

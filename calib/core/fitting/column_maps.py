@@ -9,7 +9,7 @@ matrix, so that base and target follow from one linear system.
 
 When it fails. The poses of robots with loops are expensive to close. For these robots, only single mistakes are tried
 (an order, a zero or a scale), and one or two signs. A map that takes joints beyond their limits is left out. Scales are
-found to some percent; `calib.core.fitting.scaled_joints` finds them by a fit.
+found to some percent; `calib.core.fitting.likely_mistakes` finds them by a fit.
 """
 
 from __future__ import annotations
@@ -183,7 +183,6 @@ def _replace_entry(values: tuple, j: int, value: object) -> tuple:  # type: igno
 
 
 def _turns(at: ColumnMap, turning: BoolArray) -> Iterator[ColumnMap]:
-    """The map with another sign or zero of one joint."""
     for j, factor in enumerate(at.factors):
         turned = _replace_entry(at.factors, j, -factor)
         yield ColumnMap(at.columns, turned, at.quarters)
@@ -194,7 +193,6 @@ def _turns(at: ColumnMap, turning: BoolArray) -> Iterator[ColumnMap]:
 
 
 def _scales(robot: Robot, at: ColumnMap) -> Iterator[ColumnMap]:
-    """The map with another scale of one joint."""
     for j, name in enumerate(robot.joint_names):
         for factor in (*_FACTORS, *USUAL_FACTORS[robot.mechanism.dimensions[name]]):
             yield ColumnMap(
@@ -285,7 +283,6 @@ def _bounds(robot: Robot, data: Measurements, maps: Sequence[ColumnMap]) -> dict
 
 
 def _is_mirrored(robot: Robot, data: Measurements, at: ColumnMap) -> bool:
-    """Whether a map's bound belongs to a left-handed measurement frame."""
     if robot.description.base.pose != "unknown":
         return False
     system = _systems(robot, data, [at])[0]

@@ -52,8 +52,6 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     """Return E e^2 of the module docstring, (n_free,) [m^2, rad^2].
 
     Args:
-        final: The evaluation at the minimum.
-        rows: Whitened rows at the minimum.
         groups: Scale of the noise of each group, (n_groups,).
     """
     root, own = rows.posterior_information.root, problem.unknowns.family < 0

@@ -110,11 +110,8 @@ class Folds:
     """Errors of all poses, each predicted by the fit of the other folds.
 
     Attributes:
-        count: Number of folds.
-        seed: Seed of the random choice.
         errors: Errors in the order of the data.
         rms: Root mean square distance after calibration of each fold [m], (count,).
-        converged: Whether all fits converged.
         setups: Setup of each fold, as the description counts them, (count,); empty for random folds.
     """
 

@@ -38,7 +38,6 @@ class Estimate:
     Attributes:
         unit: Unit of tables.
         nominal_si: Value before calibration [m or rad].
-        value_si: Calibrated value.
         std_si: Standard deviation; NaN where it was held.
         half95_si: Half the 95 % interval; NaN where it was held.
         status: `identified`, `partly`, `prior`, `weak`, `placed`, or `held`.
@@ -109,7 +108,6 @@ class Estimates(Mapping[str, Estimate]):
     """All parameters of a fit, by name and in their order.
 
     Args:
-        by_name: The parameters.
         contains: Contributions to their intervals; none where these are not known.
     """
 
@@ -201,7 +199,6 @@ def estimates(parameters: Parameters, values: FloatArray, free: BoolArray, stati
     Args:
         values: Their values, (n_parameters,) [m or rad].
         free: Mask of the free parameters, (n_parameters,).
-        statistics: Uncertainty of the free parameters.
     """
     kinds = np.array([(parameter.prior, parameter.placement) for parameter in parameters], dtype=bool).reshape(-1, 2)
     std, sources, places = np.full(len(free), np.nan), np.full(len(free), "held", dtype=object), np.cumsum(free) - 1

@@ -20,7 +20,7 @@ When it fails. Fewer coordinates than unknowns, or columns that the poses cannot
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,7 +41,6 @@ from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import convergence_at, place, reset_unseen, reuse_placement, solve_from, uncertainty_at
 from calib.core.numerics import linalg
 from calib.core.numerics.observability import observability
-from calib.core.numerics.statistics import BeyondLinear
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.rows.determination import Determination
@@ -54,8 +53,6 @@ class WarmStart:
     """Start values from a fit for other fits of its visits, or of a part of them.
 
     Attributes:
-        names: Parameters, (n,).
-        beyond_linear: `Statistics.beyond_linear` of these; 0 where no intervals are requested, None if unknown.
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
         placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]
@@ -64,8 +61,6 @@ class WarmStart:
         free_alone: Whether ranks of held parameters are not used.
     """
 
-    names: tuple[str, ...] = ()
-    beyond_linear: BeyondLinear | None = None
     joints: FloatArray | None = None
     passive: FloatArray | None = None
     placed: tuple[Robot, Mapping[str, FloatArray]] | None = None
@@ -75,24 +70,8 @@ class WarmStart:
     @staticmethod
     def from_fit(fit: Fit) -> WarmStart:
         """Return the start values from this fit."""
-        known, seen = (fit.free_names, fit.statistics.beyond_linear), fit.identification
-        return WarmStart(*known, seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
-
-    @staticmethod
-    def without_intervals(robot: Robot, fit: Fit | None = None) -> WarmStart:
-        """Return start values for a fit of this robot for its values alone, from another fit if given."""
-        names = tuple(parameter.name for parameter in robot.parameters)
-        nothing = BeyondLinear(partial(np.zeros, len(names)))
-        start = WarmStart() if fit is None else WarmStart.from_fit(fit)
-        return replace(start, names=names, beyond_linear=nothing)
-
-    def second_order(self, names: Sequence[str]) -> BeyondLinear | None:
-        """Return `beyond_linear` of some parameters; None if it is unknown for any of them."""
-        place, known = {name: k for k, name in enumerate(self.names)}, self.beyond_linear
-        if known is None or not place.keys() >= set(names):
-            return None
-        chosen = [place[name] for name in names]
-        return BeyondLinear(lambda: known.values[chosen])
+        seen = fit.identification
+        return WarmStart(seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
 
     def passive_at(self, q: FloatArray) -> FloatArray | None:
         """Passive joints near those of visits q (n, n_actuated), (n, n_passive); NaN where unknown, None if all are."""
@@ -108,11 +87,9 @@ class Minimum:
     """The end of the iteration of a fit, before its statistics.
 
     Attributes:
-        robot: The nominal robot.
         validation_only: Free parameters of places that only validation shows.
         start: Evaluation with base and targets placed.
         determined: Determination by the measurements at the start.
-        solved: The minimum.
     """
 
     robot: Robot
@@ -135,12 +112,9 @@ def fit_data(
     """Fit a robot to measurements, once.
 
     Args:
-        robot: The nominal robot, with its joint terms.
         settings: Options; the caller treats outliers, folds and the choice of terms.
-        data: Measurements to identify with.
         validation: Measurements to validate the result with, or None.
         workers: Workers for fits from other starts; this process if not given.
-        steps: Progress of the steps, if given.
         nearby: Start values from another fit of these visits.
 
     Raises:
@@ -148,7 +122,7 @@ def fit_data(
             `calib.core.calibrating.calibrate.calibrate`.
     """
     minimum = minimum_of(robot, settings, data, validation, workers, steps, nearby)
-    return fit_at(minimum, settings, validation, steps, nearby)
+    return fit_at(minimum, settings, validation, steps)
 
 
 def minimum_of(
@@ -185,13 +159,11 @@ def fit_at(
     settings: Settings,
     validation: Measurements | None = None,
     steps: Steps | None = None,
-    nearby: WarmStart | None = None,
 ) -> Fit:
     """Return the fit that ends at a minimum; see `fit_data`."""
     robot, later, start, solved = minimum.robot, minimum.validation_only, minimum.start, minimum.solved
     problem, final = solved.problem, solved.evaluation
-    second_order = None if nearby is None else nearby.second_order(problem.unknowns.names)
-    rows, scales, uncertainty = uncertainty_at(solved, second_order)
+    rows, scales, uncertainty = uncertainty_at(solved)
     placed, calibrated = start.robot, final.robot
     if validation is not None and later:
         placed, calibrated = (place_from_data(validation, state.free(*later), later) for state in (placed, calibrated))
@@ -231,12 +203,11 @@ def fit_at(
 
 def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements | None], Fit]:
     """Return a function that fits a part of the measurements of a fit and predicts the rest, from one start."""
-    nearby = replace(WarmStart.without_intervals(fit.nominal, fit), placed=None)  # a part has its own placement
+    nearby = replace(WarmStart.from_fit(fit), placed=None)  # a part has its own placement
     return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=nearby)
 
 
 def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
-    """O1 to O5 of the scaled Jacobian of readings in SI units, unweighted: in metres, where only positions are read."""
     units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
     own = problem.unknowns.select(problem.unknowns.family < 0)  # priors decide which rows of families count
     factor = problem.compressed(final, units, own).jacobian
@@ -249,10 +220,6 @@ def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tupl
     Examples are a tool or a tracker mounted anew for the validation. Such a place carries no information about the
     robot, so the later readings alone place it, before and after calibration: the errors that remain are the robot's
     own. With few poses in a small part of joint space such a place can absorb errors of the robot.
-
-    Args:
-        data: Measurements to fit.
-        later: Others, or None.
     """
     if later is None:
         return ()
@@ -270,9 +237,7 @@ def place_from_data(later: Measurements, robot: Robot, names: tuple[str, ...]) -
     """Return a robot with some places determined by measurements alone, and all other parameters unchanged.
 
     Args:
-        later: Measurements that show the places.
         robot: The robot, before or after calibration; only free parameters of the places change.
-        names: Parameters of the places.
 
     Raises:
         NotConvergedError: The places cannot be found.
@@ -294,11 +259,6 @@ def reading_origins(robot: Robot, data: Measurements) -> set[tuple[str, str]]:
 
 def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
     """Return errors on visits that were not used.
-
-    Args:
-        placed: The robot before calibration.
-        calibrated: The robot after calibration.
-        data: The visits.
 
     Raises:
         UnreachablePoseError: The robot before calibration cannot be assembled at a visit.

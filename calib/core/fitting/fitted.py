@@ -13,7 +13,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.contributions import Contribution, Contributions, Uncertainty, contributions_to
 from calib.core.base.other_words import HintedObject
 from calib.core.data.in_memory import PosesLike, as_poses
-from calib.core.fitting.error_sets import Errors, Folds
+from calib.core.fitting.error_sets import Errors, ErrorSet, Folds
 from calib.core.fitting.estimates import Correlation, Covariance, Estimates, estimates
 from calib.core.fitting.outliers import Outlier
 from calib.core.fitting.regions import Regions, disagreeing
@@ -21,12 +21,12 @@ from calib.core.fitting.settings import RequestedOptions
 from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.fitting.starts import Starts
 from calib.core.fitting.terms.candidate_terms import TermChoice
-from calib.core.fitting.unexplained import UnexplainedErrors, noise_beside, unexplained_errors
+from calib.core.fitting.unexplained import UnexplainedErrors, unexplained_errors
 from calib.core.numerics.statistics import Statistics
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.terms.term import Context
+from calib.core.rows.frames import ReportedUncertainty
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UndecidedTerms
-from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,7 +43,6 @@ class Fit(SolvedFit, HintedObject):
             no files were requested.
         seed: Seed of every random choice.
         placed_later: Parameters of places that only the validation poses show; they were found from these.
-        requested_options: Further options of the fit.
     """
 
     _other_words = "a fit"
@@ -139,14 +138,19 @@ class Fit(SolvedFit, HintedObject):
         return (self.validation or folds or self.identification).rms("after")
 
     @property
+    def error_sets(self) -> dict[str, ErrorSet]:
+        """Errors at `identification`, `validation` and `cross_validation` poses, as far as these exist."""
+        folds = None if self.folds is None else self.folds.errors
+        sets = {"identification": self.identification, "validation": self.validation, "cross_validation": folds}
+        return {name: errors for name, errors in sets.items() if errors is not None}
+
+    @property
     def errors(self) -> dict[str, dict[str, dict[str, object]]]:
-        """Errors `before` and `after` of `identification`, `validation` and `cross_validation`, as far as these exist.
+        """Tables of `error_sets`, `before` and `after`.
 
         In mm for positions, as in `result.json`: `errors["validation"]["after"]["rms"]`.
         """
-        sets = {"identification": self.identification, "validation": self.validation}
-        sets["cross_validation"] = None if self.folds is None else self.folds.errors
-        return Errors({name: error_set.table() for name, error_set in sets.items() if error_set is not None})
+        return Errors({name: errors.table() for name, errors in self.error_sets.items()})
 
     def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance.
@@ -179,14 +183,12 @@ class Fit(SolvedFit, HintedObject):
     @cached_property
     def unexplained(self) -> UnexplainedErrors:
         """Errors that the residuals show in addition to noise."""
-        if self.computed:
-            return UnexplainedErrors()
         return unexplained_errors(self, sized=self._is_sized)
 
-    @cached_property
+    @property
     def reading_noise(self) -> FloatArray:
         """Noise of each group of rows beside errors of joints, (n_groups,) [SI]; `noise` contains these, too."""
-        return noise_beside(self, self.joint_error, sized=self._is_sized)
+        return self.unexplained.reading_noise
 
     @property
     def _is_sized(self) -> bool:

@@ -11,29 +11,50 @@ scales, which a fit finds, a fit with them must do so. Columns that are copies o
 
 When it fails. Mistakes of two kinds at once are not found. A robot with a wrong base or tool that the description calls
 known is always far off; the verdict looks for that first. Only instruments that measure points are examined here.
-Without any, see `calib.core.fitting.photographed_points` for images, else `calib.core.fitting.mistaken_readings`.
+Without any, see `photographed_points` for images, else `calib.core.fitting.mistaken_readings`.
+
+Scales. A controller may count in gon, a range may be mapped, or a gear ratio may be wrong. Then the file has x, and the
+joint is at q = g x + b. The nominal robot is fitted with a gain of each joint that moved and its own parameters, which
+absorb b. A factor is reported if it differs from one by more than one percent and by more than its uncertainty allows.
+If a joint is scaled by two, the fit may not converge from the values of the file.
+
+Photographs. Each gives the board's pose in the camera, whatever the joints are. So a robot with a camera is like a
+robot whose target, the board's origin, is measured in a frame of unknown place on the link that carries the camera. A
+sensor that reads positions of a point itself is like that, too. The depth of a small board is uncertain, and its pose
+may be one of two that look alike. Such positions show signs, quarter turns and orders, but do not calibrate.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
+from typing import Any
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import CalibrationError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import millimetres
 from calib.core.base.words import count_noun, listing
+from calib.core.data.in_memory import plain_readings
 from calib.core.data.measurements import Measurements, with_points
 from calib.core.data.tables import read_table
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
+from calib.core.fitting.fit import fit_data
+from calib.core.fitting.joint_conventions import uncounted_turns
 from calib.core.fitting.mistaken_readings import Trial, joint_value_trials, mistaken_readings, some_visits
-from calib.core.fitting.photographed_points import photographed_points
-from calib.core.fitting.scaled_joints import joint_scales
+from calib.core.fitting.pose_checks import unmoved_joints
+from calib.core.fitting.settings import Settings
+from calib.core.instruments.camera import rays, view_poses
+from calib.core.instruments.pixel import Pixel
+from calib.core.instruments.relation import Relation
+from calib.core.robots.description import BaseSection, TargetSection
+from calib.core.robots.loading import build
 from calib.core.robots.robot import Robot
+from calib.core.robots.terms.one_coefficient import Gain
 from calib.core.rows.registration import register
 
 LARGE_NOISE = 0.1
@@ -42,13 +63,17 @@ _CLOSER = 0.2  # with the mistake undone, the nominal robot misses by less than 
 _NEAR = 0.2  # and by less than this part of the spread of the measured positions
 _HALF = 0.5  # a fit with other scales of joints leaves less than this part of the noise
 _AS_GOOD = 1.5  # another mistake explains the data as well if it misses by at most this many times the best miss
-_GLANCE = 4  # step through these poses for a first look: do the loops close at all?
 _FEW = 3  # rows that may agree by chance
 _NO_SIZE = 1e-6  # if reach over measured space is below this, the described target is on a link that does not move
 _ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own errors
 _READ = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _WRITTEN = dict(_READ, inches=0.0254, feet=0.3048, cm=1e-2) | {"tenths of an inch": 2.54e-3}
 """Units in which the program reads positions, and units in which a file may have them [m]."""
+SCALED = 0.01
+"""Relative error of a scale that no gear, belt or screw has."""
+SURE = 6.0
+"""A gain of more standard deviations is not chance."""
+_EXPECTED = 0.3  # sigma of the gains
 
 
 @one_blas_thread
@@ -56,8 +81,6 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
     """Return the mistake that explains the measurements, in words; empty where none does.
 
     Args:
-        robot: The nominal robot.
-        data: Measurements that do not fit it.
         noise: Noise of a fit to them, per axis [m]; infinite without a fit.
         gross: Whether all mistakes are examined, since nothing fits; else only the scales of joints.
     """
@@ -90,15 +113,15 @@ def _nominal_fits(
     robot: Robot, data: Measurements, sound: Measurements, zeros: IntArray
 ) -> tuple[str, ColumnMap | None]:
     """The mistake without which the nominal robot fits; if there is none, the scales with which it comes nearest."""
-    now = min(_misses(robot, [some_visits(data) if len(zeros) == 0 else data])[0], 1.0)
+    now = min(_miss(robot, some_visits(data) if len(zeros) == 0 else data), 1.0)
     where = listing([data.labels[k] for k in zeros])
     empty = f"{count_noun(len(zeros), 'reading')} of exactly 0, 0, 0 ({where}) were empty"
     trials = [Trial(empty, some_visits(sound))] if len(zeros) else []
-    misses = _misses(robot, [trial.data for trial in trials])
+    misses = [_miss(robot, trial.data) for trial in trials]
     prefix = f"{empty}, and " if len(zeros) else ""
     if not trials or misses[0] > _CLOSER * now:
         undone = list(_undone(robot, sound))
-        misses += _misses(robot, [trial.data for trial in undone], _AS_GOOD * min(_CLOSER * now, _NEAR))
+        misses += [_miss(robot, trial.data, _AS_GOOD * min(_CLOSER * now, _NEAR)) for trial in undone]
         trials += [replace(trial, words=prefix + trial.words) for trial in undone]
     best = max(min(misses), 1e-6)
     if not best < min(_CLOSER * now, _NEAR):
@@ -128,7 +151,6 @@ def _nominal_fits(
 
 
 def _file_units(data: Measurements) -> dict[str, str | None]:
-    """Units of the file's columns, by name; empty for measurements that were never in one file."""
     try:
         table = read_table(data.path)
     except CalibrationError:
@@ -136,41 +158,13 @@ def _file_units(data: Measurements) -> dict[str, str | None]:
     return dict(zip(table.names, table.units, strict=True))
 
 
-def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> list[float]:
-    """Root mean square errors of the nominal robot over the spread of the positions; all loops are closed at once.
+def _miss(robot: Robot, data: Measurements, most: float = np.inf) -> float:
+    """Root mean square error of the nominal robot over the spread of the positions, unknown places determined.
 
-    A result above `most` is only a lower bound.
+    A result above `most` is only a lower bound; it is infinite where less than half of the poses close.
     """
-    result = np.full(len(changed), np.inf)
-    glances = [data.joints[::_GLANCE] for data in changed]
-    some = (
-        _closed_poses(robot, glances)
-        if robot.mechanism.loops
-        else [(np.ones(1, dtype=bool), np.zeros(0))] * len(changed)
-    )
-    left = [k for k, (ok, _) in enumerate(some) if _closes(ok)]
-    for k, (ok, passive) in zip(left, _closed_poses(robot, [changed[k].joints for k in left]), strict=True):
-        result[k] = _miss_of(robot, changed[k], ok, passive, most)
-    return [float(miss) for miss in result]
-
-
-def _closed_poses(robot: Robot, joints: list[FloatArray]) -> list[tuple[BoolArray, FloatArray]]:
-    """Mask of the poses of each list that close, and their passive joints."""
-    if not joints:
-        return []
-    closed = robot.close(np.vstack(joints), thorough=False)
-    starts = np.cumsum([len(q) for q in joints])[:-1]
-    return list(zip(np.split(closed.ok, starts), np.split(closed.passive, starts), strict=True))
-
-
-def _closes(ok: BoolArray) -> bool:
-    """Whether enough poses close to look for paths to the others."""
-    return bool(2 * np.sum(ok) >= len(ok))
-
-
-def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArray, most: float) -> float:
-    """Error of the robot, with unknown places determined, from the mask of closed poses and their passive joints."""
-    if not _closes(ok):
+    closed = robot.close(data.joints, thorough=False)
+    if 2 * np.sum(closed.ok) < len(data):  # too few to look for paths to the others
         return float("inf")
     points = data.points(robot)
     spread = np.sum((points - points.mean(axis=0)) ** 2)
@@ -180,14 +174,13 @@ def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArra
         placed = robot
         if any(p.placement for p in robot.parameters):
             placed = register(robot, data, rough_beyond=rough_beyond)
-        errors = placed.positions(data.joints, seed=passive) - points
+        errors = placed.positions(data.joints, seed=closed.passive) - points
     except CalibrationError:  # a loop stays open, or nothing can be placed
         return float("inf")
     return float(np.sqrt(np.sum(errors**2) / spread)) if spread > 0 else float("inf")
 
 
 def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
-    """Yield each mistake, undone in some of the measurements."""
     data = some_visits(measured)
     q, points = data.joints, data.points(robot)
     for at in likely_maps(robot, data):
@@ -207,7 +200,7 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
 def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
     """The units that fit the size of the measured positions, and the factor that corrects lengths."""
     closed = robot.close(data.joints, thorough=False)
-    if not _closes(closed.ok):
+    if 2 * np.sum(closed.ok) < len(data):
         return
     reached = robot.positions(data.joints[closed.ok], seed=closed.passive[closed.ok])
     measured = data.points(robot)[closed.ok]
@@ -226,7 +219,6 @@ def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
 
 
 def _axes_in_words(order: tuple[int, ...], sign: tuple[float, ...]) -> str:
-    """A sentence on measured columns in another order or with other signs; empty if they are right."""
     columns = ["xyz"[k] for k in order]
     moved = [axis for axis, column in zip("xyz", columns, strict=True) if axis != column]
     turned = " and ".join(column for column, of in zip(columns, sign, strict=True) if of < 0)
@@ -271,3 +263,98 @@ def equal_columns(data: Measurements, robot: Robot) -> list[tuple[str, str]]:
             columns[column] = whole
     varied = [name for name, numbers in columns.items() if len(np.unique(numbers[np.isfinite(numbers)])) > _FEW]
     return [(a, b) for a, b in combinations(varied, 2) if np.array_equal(columns[a], columns[b], equal_nan=True)]
+
+
+def photographed_points(robot: Robot, data: Measurements) -> tuple[Robot, Measurements] | None:
+    """Return the nominal robot, and measurements that state what its first sensor saw as positions [m].
+
+    None is returned for a robot without such a sensor, or with another instrument that reads positions.
+    """
+    if any(each.reads_positions for each in robot.instruments):
+        return None
+    for each in (each for each in robot.instruments if each.name in data.readings):
+        if isinstance(each, Pixel):
+            target = TargetSection(frame=robot.description.targets[each.target].frame, position="unknown")
+            return _positioned(robot, data, each.place.link, {each.target: target}, _boards(each, data))
+        if isinstance(each, Relation) and each.seen_points(data.readings[each.name].values) is not None:
+            return _seen_place(robot, data, each)
+    return None
+
+
+def _boards(camera: Pixel, data: Measurements) -> FloatArray:
+    """Origins of the board in the camera, (n, 3) [m]; NaN where it was not seen."""
+    readings = data.readings[camera.name]
+    visits, view = np.unique(readings.visits, return_inverse=True)
+    seen = rays(readings.values, np.array(camera.intrinsics))
+    poses, errors = view_poses(camera.body(readings.details), seen, view.reshape(-1), len(visits))
+    points = np.full((len(data), 3), np.nan)
+    points[visits] = np.where(np.isfinite(errors)[:, None], poses[:, :3, 3], np.nan)
+    return points
+
+
+def _seen_place(robot: Robot, data: Measurements, sensor: Relation) -> tuple[Robot, Measurements]:
+    readings = data.readings[sensor.name]
+    most = int(np.argmax(np.bincount(readings.pairs)))
+    own = readings.subset(np.flatnonzero(readings.pairs == most))
+    points, seen = np.full((len(data), 3), np.nan), sensor.seen_points(own.values)
+    assert seen is not None  # as `photographed_points` has checked
+    points[own.visits] = seen
+    place = sensor.own[most]
+    target = TargetSection(frame=place.link, xyz=place.xyz, position="unknown")
+    return _positioned(robot, data, robot.description.targets[sensor.target].frame, {place.name: target}, points)
+
+
+def _positioned(
+    robot: Robot, data: Measurements, link: str, target: dict[str, TargetSection], points: FloatArray
+) -> tuple[Robot, Measurements]:
+    changes: dict[str, Any] = {
+        "base": BaseSection(frame=link, pose="unknown"),
+        "targets": target,
+        **{"instruments": {}, "setups": {}, "columns": {}, "held": (), "elimination_order": ()},
+        **{"fleet": None, "model": None},
+    }
+    positioned = build(robot.description.model_copy(update=changes), robot.urdf, robot.path)
+    return positioned, replace(data, readings={next(iter(target)): plain_readings(points)}, robot=positioned)
+
+
+@dataclass(frozen=True)
+class JointScales:
+    """Scales of joints, from a fit with gains.
+
+    Attributes:
+        map: The map that corrects joint values; factors of joints with a right scale are one.
+        std: Standard deviations of the factors, (n_actuated,).
+        noise: Noise of the fit, per axis [m].
+    """
+
+    map: ColumnMap
+    std: tuple[float, ...]
+    noise: float
+
+
+def joint_scales(robot: Robot, data: Measurements, at: ColumnMap | None = None) -> JointScales | None:
+    """Return the scales of joints; None if the fit fails.
+
+    Args:
+        at: Likely map of the columns, from which the fit starts; the plain one if not given.
+    """
+    names = robot.joint_names
+    at = at or ColumnMap.plain(len(names))
+    mapped = replace(data, joints=at.joints(data.joints))
+    apart = {*unmoved_joints(robot, mapped.joints), *uncounted_turns(robot, mapped.joints)}
+    sections = tuple(Gain.section(joint=name, term=Gain.word, sigma=_EXPECTED) for name in names if name not in apart)
+    own = tuple(section for section in robot.description.terms if section.term != Gain.word)
+    try:
+        geared = robot.with_terms((*own, *sections))
+        fit = fit_data(geared, Settings(), mapped)
+    except CalibrationError:
+        return None
+    found = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
+    known = dict(zip(fit.free_names, fit.statistics.std, strict=True))
+    factors, std = list(at.factors), [0.0] * len(names)
+    for j, name in enumerate(names):
+        gain = f"{name}.{Gain.word}"
+        factor, size = abs(at.factors[j]) * (1.0 + found.get(gain, 0.0)), abs(at.factors[j]) * known.get(gain, 0.0)
+        off = abs(factor - 1.0) > max(SCALED, SURE * size)
+        factors[j], std[j] = math.copysign(factor if off else 1.0, at.factors[j]), float(size)
+    return JointScales(replace(at, factors=tuple(float(factor) for factor in factors)), tuple(std), float(fit.sigma))

@@ -72,8 +72,6 @@ def mistaken_readings(robot: Robot, data: Measurements, name: str = "") -> str:
     """Return the mistake that explains the measurements, in words; empty where none does.
 
     Args:
-        robot: The nominal robot.
-        data: Measurements that do not fit it.
         name: An instrument, if only its numbers can be wrong.
     """
     some = some_visits(data)
@@ -118,7 +116,6 @@ def _misfits(robot: Robot, data: Measurements) -> _Errors:
 
 
 def _trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
-    """Each mistake, undone in some of the measurements of the instruments that it concerns."""
     data, n = some_visits(measured), len(robot.joint_names)
     plain = ColumnMap.plain(n)
     signs = [replace(plain, factors=tuple(-1.0 if k == j else 1.0 for k in range(n))) for j in range(n)]
@@ -167,7 +164,6 @@ class Trial:
     """A mistake that is undone.
 
     Attributes:
-        words: The mistake.
         data: Some of the measurements without it.
         changes: Number of changes of joints; 0 for a single mistake.
         column_map: The map of columns that undoes it.
@@ -196,7 +192,6 @@ def joint_value_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
 
 
 def _shifted_trials(measured: Measurements) -> Iterator[Trial]:
-    """Joint values shifted to other rows, counted in the measured order; rows of the file may be missing here."""
     places = measured.places
     for rows, sign in product(range(1, _SHIFTS + 1), (1, -1)):
         _, of_joints, of_points = np.intersect1d(places + sign * rows, places, return_indices=True)

@@ -76,7 +76,6 @@ def validation_errors(fit: Fit) -> ErrorSet | None:
 
 
 def _errors_when_replaced(fit: Fit) -> ErrorSet | None:
-    """Errors at the validation poses, which place the frames that they were read from."""
     assert fit.validation is not None
     robot, data = fit.robot, fit.validation.data
     names = free_places(robot, {frame for frame, _ in reading_origins(robot, data)})

@@ -62,10 +62,6 @@ class Outlier:
         return f"{what}: {self.size} off, {self.studentised:.1f} times the error expected there"
 
 
-class Outliers(tuple[Outlier, ...]):
-    """Outliers, worst first."""
-
-
 def outliers_of(studentised: StudentisedErrors, error_set: ErrorSet, layout: Layout) -> tuple[Outlier, ...]:
     """Return the outliers of a set, worst first."""
     together = _n_far_off(studentised, layout)
@@ -96,7 +92,6 @@ def outliers_of(studentised: StudentisedErrors, error_set: ErrorSet, layout: Lay
 
 
 def _n_far_off(studentised: StudentisedErrors, layout: Layout) -> IntArray:
-    """Number of readings of a visit, if it has several and more than half are far off; else 0, (n_visits,)."""
     n_visits = int(layout.visit.max(initial=-1)) + 1
     readings = np.bincount(layout.visit, minlength=n_visits)
     suspects = np.bincount(layout.visit, studentised.chance < FALSE_ALARM, minlength=n_visits)

@@ -139,7 +139,6 @@ def require_identifiable(problem: Problem, evaluation: Evaluation, *, alone: boo
     """Return the determination, or raise an error if data and priors together leave a free parameter open.
 
     Args:
-        evaluation: The point of its linear model.
         alone: Whether to examine only the free parameters, without the held ones.
 
     Raises:

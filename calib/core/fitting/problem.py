@@ -25,10 +25,9 @@ from calib.core.base.errors import ComputationError
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import Readings
 from calib.core.numerics.chances import UNLIKELY
-from calib.core.numerics.identifiability import reduce_rows
+from calib.core.numerics.identifiability import MANY_COLUMNS, reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE, LeastSquaresSolution, minimise
 from calib.core.numerics.linear_model import LinearModel, RowGroups
-from calib.core.numerics.linear_point import RowStack
 from calib.core.numerics.mixed_rows import SeenColumns
 from calib.core.robots.configurations import Configurations, close, configurations_if_closed, describe_open
 from calib.core.robots.joint_errors import term_columns
@@ -48,8 +47,6 @@ class Evaluation:
     """Readings compared with a robot at one set of parameter values.
 
     Attributes:
-        robot: The robot with these values.
-        configurations: Its configurations at the visits.
         readings: Readings of each instrument, by name.
         factors: Cache of `Problem.compressed`: unknowns, and the triangular factor of each group's rows for them.
         whitened: Cache of `Problem.rows`: scales of the groups, unknowns, and the derivative of the rows by these.
@@ -88,11 +85,9 @@ class Problem(ReadOnlyArrays):
     """Rows of a fit as functions of the parameters, from `from_data`.
 
     Attributes:
-        robot: Nominal robot.
         sigma: Noise of positions per axis, if it replaces the stated one [m].
         columns: Columns Phi of the joint terms, at the nominal parameters.
         passive: Passive joints at similar parameters, from which loops are closed, (n, n_passive) [m or rad].
-        whitening: Whitening by the stated noise.
         unknowns: The free parameters, with the sizes of families found so far.
         noise_found: Mask of the groups whose noise is found from the residuals, (n_groups,); at first those without
             stated noise.
@@ -120,7 +115,6 @@ class Problem(ReadOnlyArrays):
         """Close every visit and whiten its readings.
 
         Args:
-            robot: Nominal robot.
             sigma: Noise of positions per axis, if it replaces the stated one [m].
             near: Passive joints of the visits under similar parameters, if they are known, (n, n_passive) [m or rad].
             whitening: Whitening of the same readings with the same instruments and sigma, if it exists already.
@@ -130,27 +124,19 @@ class Problem(ReadOnlyArrays):
         """
         columns = term_columns(robot, data.joints, data.conditions)
         passive = robot.assemble(data.joints, near, data.labels, data.conditions).passive
-        return Problem(
-            robot, data, sigma, columns, passive, *_as_stated(robot, whitening or Whitening(robot, data, sigma))
-        )
+        whitening = whitening or Whitening(robot, data, sigma)
+        unknowns = Unknowns.from_robot(robot)
+        return Problem(robot, data, sigma, columns, passive, whitening, unknowns, whitening.is_unstated)
 
     def with_readings(self, data: Measurements, passive: FloatArray) -> Problem:
         """Return the problem of other readings at the same visits, joint values and conditions.
 
         Args:
-            data: The readings.
             passive: Passive joints near the solution of that problem, (n, n_passive) [m or rad].
         """
-        if self.whitening.applies_to(data):
-            return replace(self, data=data, passive=passive)
-        return Problem(
-            self.robot,
-            data,
-            self.sigma,
-            self.columns,
-            passive,
-            *_as_stated(self.robot, Whitening(self.robot, data, self.sigma)),
-        )
+        known = self.whitening.applies_to(data)
+        whitening = self.whitening if known else Whitening(self.robot, data, self.sigma)
+        return replace(self, data=data, passive=passive, whitening=whitening, noise_found=whitening.is_unstated)
 
     def contradicted_groups(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
         """Return a mask of the groups whose found scale contradicts their stated noise, (n_groups,).
@@ -182,7 +168,6 @@ class Problem(ReadOnlyArrays):
         """Evaluate a robot on the data.
 
         Args:
-            robot: The robot, with any parameter values.
             near: Evaluation at similar values, from which the loops close quickly.
 
         Raises:
@@ -330,46 +315,49 @@ class _SolverRows:
             self._seen = SeenColumns.from_rows(rows, unknowns.prior, unknowns.family, _UNSEEN)
             self.begin, self._prior = self._seen.combine(first), self._seen.prior
             self._others = first - self._seen.coefficients(self.begin)
-        self._looked_at: list[tuple[FloatArray, Evaluation | None]] = [(self.begin, start)]
-        self._n_rows = problem.whitening.layout.n_rows + len(self._prior.rows)
+        self._looked_at: list[tuple[FloatArray, Evaluation | None, FloatArray]] = [
+            (self.begin, start, self._values(self.begin, start))
+        ]
 
-    def _evaluation(self, w: FloatArray) -> Evaluation | None:
-        for known, evaluation in self._looked_at:
+    def _look_at(self, w: FloatArray) -> tuple[Evaluation | None, FloatArray]:
+        """Evaluation at w (n_variables,), None where a loop opens, and all residuals, (n_rows,)."""
+        for known, evaluation, values in self._looked_at:
             if np.array_equal(known, w):
-                return evaluation
+                return evaluation, values
         u = w if self._seen is None else self._others + self._seen.coefficients(w)
         evaluation = self._problem.evaluate_if_closed(self._unknowns.robot_at(self.current.robot, u), self.current)
-        self._looked_at = [*self._looked_at, (w, evaluation)][-_TRIALS:]
-        return evaluation
+        values = self._values(w, evaluation)
+        self._looked_at = [*self._looked_at, (w, evaluation, values)][-_TRIALS:]
+        return evaluation, values
+
+    def _values(self, w: FloatArray, evaluation: Evaluation | None) -> FloatArray:
+        layout = self._problem.whitening.layout
+        if evaluation is None:
+            return np.full(layout.n_rows + len(self._prior.rows), np.nan)
+        residuals = self._problem.residuals(evaluation, self._groups)
+        if self._weights is not None:
+            residuals *= np.sqrt(self._weights)[layout.reading]
+        return np.concatenate([residuals, self._prior.times(w)])
 
     def residuals(self, w: FloatArray) -> FloatArray:
         """Return all residuals at w (n_variables,), ending with the priors' rows, (n_rows,); NaN where a loop opens."""
-        evaluation = self._evaluation(w)
-        if evaluation is None:
-            return np.full(self._n_rows, np.nan)
-        problem, residuals = self._problem, self._problem.residuals(evaluation, self._groups)
-        if self._weights is not None:
-            residuals *= np.sqrt(self._weights)[problem.whitening.layout.reading]
-        return np.concatenate([residuals, self._prior.times(w)])
+        return self._look_at(w)[1]
 
-    def jacobian(self, w: FloatArray) -> RowStack:
-        """Return the derivative of the residuals by w, (n_rows, n_variables), and make w the current point."""
-        evaluation = self._evaluation(w)
+    def jacobian(self, w: FloatArray) -> LinearModel:
+        """Return the linear model at w (n_variables,), and make w the current point."""
+        evaluation, values = self._look_at(w)
         if evaluation is None:  # derivatives are requested only where the residuals were finite
             raise ComputationError("the solver left the region where the loops close")
         if evaluation is not self.current:
             self.current.whitened.clear()  # it takes memory, as the other points do
-        self.current, self._looked_at = evaluation, [(w, evaluation)]
+        self.current, self._looked_at = evaluation, [(w, evaluation, values)]
         problem, groups, unknowns = self._problem, self._groups, self._unknowns
         rows = problem.derivative(evaluation, groups, unknowns, self._weights)
         rows = rows if self._seen is None else self._seen.combine(rows)
-        if self._weights is not None or self._seen is not None:
-            return RowStack(rows, self._prior)
-        if unknowns is problem.unknowns:
-            evaluation.keep_whitened(groups, unknowns, rows)
-        return RowStack(rows, self._prior, lambda: problem.compressed(evaluation, groups, unknowns, rows).factor)
-
-
-def _as_stated(robot: Robot, whitening: Whitening) -> tuple[Whitening, Unknowns, BoolArray]:
-    """Whitening, unknowns, and groups whose noise is to be found, before the first fit."""
-    return whitening, Unknowns.from_robot(robot), whitening.is_unstated
+        model = LinearModel(values[: len(rows)], rows, self._prior, w)
+        if self._weights is None and self._seen is None:
+            if unknowns is problem.unknowns:
+                evaluation.keep_whitened(groups, unknowns, rows)
+            if len(w) < MANY_COLUMNS:
+                model.remember(problem.compressed(evaluation, groups, unknowns, rows).factor)
+        return model

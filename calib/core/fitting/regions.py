@@ -47,10 +47,8 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
     """Return the regions by which parameters disagree most; None where they agree as well as noise lets them.
 
     Args:
-        data: The used visits.
         depths: `Mechanism.depths` of the robot, (n_actuated,).
         rows: Whitened rows at the solution, with the weights of a robust loss.
-        statistics: Statistics of the parameters.
     """
     block = np.zeros(len(data), dtype=np.intp)
     for k, visits in enumerate(boxes(data.joints, data.pose_numbers, BLOCKS, depths)):

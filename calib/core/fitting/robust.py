@@ -20,7 +20,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import NotIdentifiableError
@@ -50,9 +49,7 @@ class RobustSolution:
 
     Attributes:
         problem: The solved problem, with the noise and the sizes of families that were found.
-        evaluation: The evaluation at the minimum.
         groups: Scale of the noise of each group, (n_groups,).
-        solution: Last report of the solver.
         weights: Weight of each reading, (n_readings,); None without a robust loss.
         factors: Factors on the noise, by the residuals, with a robust loss.
         has_settled_weights: Whether the weights of a robust loss have settled.
@@ -73,7 +70,6 @@ def solve_robust(solved: RobustSolution, loss: Loss) -> RobustSolution:
     """Minimise with a robust loss, from a least-squares solution.
 
     Args:
-        solved: The least-squares solution.
         loss: The loss, not `none`.
 
     Raises:
@@ -190,14 +186,7 @@ def _linear_solution(
 
 def _step(rows: Rows, weights: FloatArray, sigma: float) -> FloatArray:
     """Solve the weighted linear problem, with priors weighted against this noise."""
-    root = np.sqrt(weights)[rows.layout.reading]
-    priors = rows.prior.rows
-    stacked = np.vstack([root[:, None] * rows.jacobian, sigma * priors])
-    right = np.concatenate([root * rows.residuals, sigma * (priors @ rows.deviations)])
-    if len(stacked) < stacked.shape[1]:
+    model = rows.with_weights(weights / sigma**2)
+    if model.posterior_information.root.shape[1] < rows.jacobian.shape[1]:
         raise NotIdentifiableError(_TOO_FEW_LEFT)
-    q, triangle = np.linalg.qr(stacked)
-    diagonal = np.abs(np.diag(triangle))
-    if np.min(diagonal) <= 1e-12 * np.max(diagonal):
-        raise NotIdentifiableError(_TOO_FEW_LEFT)
-    return -scipy.linalg.solve_triangular(triangle, q.T @ right)
+    return model.step()

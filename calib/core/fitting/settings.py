@@ -17,7 +17,6 @@ class RequestedOptions:
     """Options of a fit that a repeated fit needs and that neither its settings nor its robot hold.
 
     Attributes:
-        fix, free: Names of parameters.
         prior: Expected errors of parameters, by name.
         validation: The part of the poses that was held out, or the file of other poses; empty for neither.
         folds: As in `Settings`.

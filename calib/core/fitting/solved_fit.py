@@ -73,20 +73,15 @@ class SolvedFit(ReadOnlyArrays):
     Attributes:
         nominal: The robot as described.
         placed: The robot `before`: nominal, with unknown base and targets placed.
-        robot: The calibrated robot.
         identification: Errors on the visits that were used.
         validation: Errors on visits that were not used, if there were any.
         configurations: The assembled visits of `identification`, at the solution.
-        unknowns: The free parameters.
         statistics: Uncertainty of the free parameters.
         determination: Ranks of poses and priors at `placed`, as in `calib check`.
         observability: O1 to O5 on scaled columns.
         rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
-        whitening: Whitening of the rows.
         scales: Assumed scale of the noise of each group, (n_groups,).
         seconds: Duration of the whole computation.
-        convergence: How the iteration ended.
-        loss: Robust loss.
         weights: Weight of each reading, (n_readings,); 1 without a robust loss.
         sigma_given: Noise of positions that replaced the stated one [m], or None.
     """
@@ -226,7 +221,6 @@ class SolvedFit(ReadOnlyArrays):
         return self._whitened(errors)[:2]
 
     def _whitened(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray, Whitening, FloatArray]:
-        """Residuals before and after (n_rows,), their whitening, and scales of the groups (n_groups,)."""
         used = errors.data is self.identification.data
         whitening = self.whitening if used else Whitening(self.robot, errors.data, self.sigma_given)
         known = {

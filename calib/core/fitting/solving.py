@@ -1,7 +1,7 @@
 """From placed base and targets to the minimum, with unstated noise found on the way.
 
 Where the noise of an instrument is not stated, it is found from the residuals
-(`calib.core.numerics.variance_components`): the solve is repeated until noise changes by less than one percent.
+(`calib.core.numerics.size_search`): the solve is repeated until noise changes by less than one percent.
 Where priors are weighed against stated noise, the errors that the model leaves out count too: for a robot with gear
 errors, the noise of a good tracker is the least part. With a statement that residuals contradict, priors would pull
 parameters hundreds of sigmas away from their expected values, and slowly, along bent valleys. So the noise of such a
@@ -23,7 +23,6 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.core.base.workers import Progress
 from calib.core.fitting.curvature import mean_square_beyond_linear
-from calib.core.fitting.found_noise import scales_found
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.fitting.robust import RobustSolution, solve_robust
 from calib.core.fitting.settings import Settings
@@ -33,7 +32,8 @@ from calib.core.numerics.chances import EXACT, HARDLY
 from calib.core.numerics.clusters import Scatter, scatter
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE
-from calib.core.numerics.prior_sizes import variance_by_sizes
+from calib.core.numerics.linear_model import LinearModel
+from calib.core.numerics.size_search import find_sizes, variance_by_sizes
 from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, find_factors, statistics
 from calib.core.numerics.tall import Span
 from calib.core.robots.robot import Robot
@@ -93,7 +93,6 @@ def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, Floa
     """Return the result of `place` from another robot placed by the same readings; None if robots differ.
 
     Args:
-        other: The other robot, base and targets placed.
         residuals: Residuals of the other robot, (n_readings, n_rows) [SI] by instrument.
     """
     unknowns, readings = problem.unknowns, problem.data.readings
@@ -158,9 +157,7 @@ def solve_from(
 
     Args:
         placed: Evaluation at the start.
-        settings: Options of the fit.
         workers: Workers for the other starts; this process if not given.
-        progress: Called after each of them.
 
     Raises:
         NotConvergedError: The noise cannot be found.
@@ -223,6 +220,27 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> R
     raise NotConvergedError(_NO_NOISE)
 
 
+def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Find the scales of the groups `noise_found`, and factors on the sigmas of families, from the residuals.
+
+    Args:
+        evaluation: An evaluation near the minimum, whose linear model counts.
+        groups: Scales to start from, (n_groups,).
+
+    Returns:
+        Scales of the groups (n_groups,), factors of the families (n_families,).
+    """
+    unknowns = problem.unknowns
+    first = [int(np.argmax(unknowns.family == k)) for k in range(len(unknowns.families))]
+    sizes = unknowns.scales[first] / problem.robot.parameters.sigma_si[unknowns.index[first]]
+    if len(sizes):
+        model: LinearModel = problem.rows(evaluation, groups, unknowns.rescale_families(1.0 / sizes))
+    else:
+        model = problem.compressed(evaluation, groups, unknowns)
+    scales, found = find_sizes(model, problem.noise_found, unknowns.family, sizes)
+    return np.maximum(groups * scales, EXACT / 10), found / sizes
+
+
 def release_contradicted_noise(
     problem: Problem, evaluation: Evaluation, groups: FloatArray
 ) -> tuple[Problem, FloatArray]:
@@ -246,7 +264,6 @@ def uncertainty_at(
     """Return the rows at a minimum, the scales of their noise (n_groups,), and the uncertainty of the parameters.
 
     Args:
-        solved: The minimum.
         beyond_linear: `Statistics.beyond_linear` of a minimum nearby, if it is known.
 
     Raises:
@@ -300,8 +317,6 @@ def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Conve
     Only this step counts, whether a stopping rule ended the iteration or its limit of evaluations.
 
     Args:
-        solved: The minimum.
-        rows: The rows at the minimum.
         std: Standard deviations of the free parameters, (n_free,) [m, rad].
     """
     weighted = rows if solved.weights is None else rows.with_weights(solved.weights)

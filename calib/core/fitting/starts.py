@@ -35,8 +35,6 @@ class StartMinimum:
     """A minimum that starts led to.
 
     Attributes:
-        robot: The robot at the minimum.
-        solution: Report of the solver.
         cost: Sum of squares of the whitened residuals and of the priors' rows.
         rms: Root mean square length of the readings' residuals [SI].
         count: Number of starts that led there.
@@ -56,7 +54,6 @@ class Starts:
     Attributes:
         minima: The minima, lowest cost first.
         failed: Starts that did not converge or could not be assembled.
-        seed: Seed of the random steps.
         groups: Scale of the noise of each group, the same for all starts, (n_groups,).
     """
 
@@ -88,9 +85,7 @@ def explore(
         first: End of the first start.
         groups: Scale of the noise of each group, (n_groups,).
         n: Number of starts, the first included.
-        seed: Seed of the random steps.
         executor: Executor of the fits; this process if not given.
-        progress: Called after each start.
     """
     rng = np.random.default_rng(seed)
     distinct: list[tuple[StartMinimum, FloatArray]] = []
@@ -129,7 +124,6 @@ def _add(
     groups: FloatArray,
     end: tuple[Evaluation, LeastSquaresSolution],
 ) -> None:
-    """Count an end for the minimum that it belongs to, or add a new minimum."""
     reached, solution = end
     whitened = problem.whitening.whiten(reached.residuals, groups)
     smallest = _ROUNDING / float(np.min(groups * [group.typical for group in problem.whitening.groups]))
@@ -144,5 +138,4 @@ def _add(
 
 
 def _size(whitened: FloatArray) -> float:
-    """Root mean square of whitened rows."""
     return float(np.sqrt(np.mean(whitened**2)))

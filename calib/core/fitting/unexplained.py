@@ -25,7 +25,7 @@ The part that rows cannot tell from noise counts as delta, because the noise of 
 (`calib.core.numerics.size_search.scatter_given_noise`). With known noise that part is zero; where all joints move all
 readings alike, as in a gantry, it is most of the residuals.
 Delta is no larger than if it alone explained the residuals. A reading at a pose has the noise beside delta
-(`noise_beside`): the found noise contains both.
+(`reading_noise`): the found noise contains both.
 Delta is no part of the covariance of parameters, which is found from the same residuals. Of very many poses, a part
 determines it.
 
@@ -43,7 +43,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.fitting.terms.candidate_terms import TELLS, CandidateTerm, candidates
@@ -55,15 +55,17 @@ from calib.core.rows.prediction import UndecidedTerms
 _SHORTEST = 0.3  # a component of usual size is negligible if its length is below this part of the fit's noise
 
 
-@dataclass(frozen=True)
-class UnexplainedErrors:
+@dataclass(frozen=True, eq=False)
+class UnexplainedErrors(ReadOnlyArrays):
     """Errors that residuals show in addition to noise.
 
     Attributes:
+        reading_noise: Noise of each group of rows beside errors of joints, (n_groups,) [SI].
         joint_error: Delta of the module docstring [rad]; 0 where noise explains the residuals.
         terms: Kinds of joint errors that the fit lacks, and its residuals show; None if there are none.
     """
 
+    reading_noise: FloatArray
     joint_error: float = 0.0
     terms: UndecidedTerms | None = None
 
@@ -74,36 +76,21 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
 
     `sized` says whether the sizes of all kinds of joint terms were found for it.
     """
-    model, kinds, at = _solved(fit, sized)
-    return UnexplainedErrors() if at is None else UnexplainedErrors(scatter_given_noise(at), _shown(model, kinds, at))
-
-
-@one_blas_thread
-def noise_beside(fit: SolvedFit, joint_error: float, *, sized: bool) -> FloatArray:
-    """Return the noise of each group of rows beside errors of joints of a size [rad], (n_groups,) [SI].
-
-    The residuals of a fit contain both. Noise of a shape of its own looks like larger errors of joints, but is noise.
-    Arguments as in `unexplained_errors`.
-    """
-    found = np.array([noise.sigma for noise in fit.noise])
-    at = _solved(fit, sized)[2] if joint_error > 0.0 else None
-    if at is None or joint_error < np.exp(at.logs[-1]):
-        return found
-    units = [1.0 if group.stated else scale for group, scale in zip(fit.whitening.groups, fit.scales, strict=True)]
-    typical = [group.typical for group in fit.whitening.groups]
-    return np.minimum(found, noise_given_scatter(at, joint_error) * units * np.array(typical))
-
-
-def _solved(fit: SolvedFit, sized: bool) -> tuple[KindModel, tuple[CandidateTerm, ...], SolvedModel | None]:
-    """The model of noise and errors of joints, the kinds in it, and its likeliest sizes."""
-    groups = fit.whitening.groups
+    groups, found = fit.whitening.groups, np.array([noise.sigma for noise in fit.noise])
+    if fit.computed:
+        return UnexplainedErrors(found)
     stated = np.array([group.stated for group in groups])
     kinds = () if sized or np.all(stated) else _kinds_of_few_coefficients(fit)
-    model = KindModel(fit, kinds, fit.unknowns.scales)
+    model, units = KindModel(fit, kinds), np.where(stated, 1.0, fit.scales)
     read = model.informative_rows
     read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
-    rows = model.rows(read, np.where(stated, 1.0, fit.scales), stated)
-    return model, kinds, solve_beside_noise(MixedModel.from_rows(rows, _SHORTEST))
+    at = solve_beside_noise(MixedModel.from_rows(model.rows(read, units, stated), _SHORTEST))
+    if at is None:
+        return UnexplainedErrors(found)
+    delta, noise = scatter_given_noise(at), found
+    if delta > 0.0 and delta >= np.exp(at.logs[-1]):  # noise of a shape of its own looks like errors of joints
+        noise = np.minimum(found, noise_given_scatter(at, delta) * units * [group.typical for group in groups])
+    return UnexplainedErrors(noise, delta, _shown(model, kinds, at))
 
 
 def solve_beside_noise(model: MixedModel) -> SolvedModel | None:
@@ -112,7 +99,6 @@ def solve_beside_noise(model: MixedModel) -> SolvedModel | None:
 
 
 def _kinds_of_few_coefficients(fit: SolvedFit) -> tuple[CandidateTerm, ...]:
-    """Kinds that a fit lacks and its measurements can show, without curves."""
     kinds = [
         kind for kind in candidates(fit.robot, fit.identification.data) if not (kind.refusal or kind.reason_against)
     ]

@@ -42,6 +42,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import validation_errors
 from calib.core.fitting.validation import readings_at
 from calib.core.numerics.chances import HARDLY
+from calib.core.numerics.clusters import shifts_without_block
 from calib.core.numerics.statistics import chi_square
 from calib.core.numerics.tall import Span
 from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
@@ -98,10 +99,8 @@ def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
     if rows is fit.rows:
         moved, decided = _prediction_shifts(rows)
     else:
-        seen = Span(fit.rows.jacobian, fit.root)
-        moved, decided = rows.leave_out_blocks(rows.layout.pose_of_row).shifts_without_block(
-            rows.residuals, seen=seen, alone=_DECIDES
-        )
+        pose, seen = rows.layout.pose_of_row, Span(fit.rows.jacobian, fit.root)
+        moved, decided = shifts_without_block(rows.span, pose, rows.residuals, seen=seen, alone=_DECIDES)
     read = fit.whitening.unwhiten_rows(moved, fit.scales)
     after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
     predictable = np.isin(data.pose_numbers, np.flatnonzero(decided > _DECIDES), invert=True)
@@ -112,7 +111,7 @@ def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
 @memoize
 def _prediction_shifts(rows: Rows) -> tuple[FloatArray, FloatArray]:
     """Shifts of poses that are left out in turn; copies of a fit share them, as they hold the same rows."""
-    return rows.leave_out_blocks(rows.layout.pose_of_row).shifts_without_block(rows.residuals, alone=_DECIDES)
+    return shifts_without_block(rows.span, rows.layout.pose_of_row, rows.residuals, alone=_DECIDES)
 
 
 def left_out_ratio(fit: Fit) -> float:

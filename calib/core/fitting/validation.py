@@ -56,7 +56,6 @@ def _setups(data: Measurements) -> list[int]:
 
 
 def _folds(data: Measurements, folds: int | Literal["setups"], seed: int) -> list[IntArray]:
-    """Indices of each fold, (n_in_fold,) each."""
     if folds == "setups":
         if data.setups is None or len(_setups(data)) < 2:
             raise InputError(f"folds setups: {data.path} has one setup only; give a number of folds")
@@ -79,10 +78,8 @@ def cross_validate(
 
     Args:
         count: Number of folds, 2 or more; or `setups`: each setup is a fold.
-        seed: Seed of the random choice.
         fit: Fits one part and predicts the other; a function of a module, so that other processes find it.
         executor: Executor of the fits; this process if not given.
-        progress: Told after each fold.
 
     Raises:
         InputError: More folds than poses, or fewer than 2; one setup only.
@@ -134,9 +131,6 @@ def readings_at(readings: Readings, visits: IntArray) -> IntArray:
 
 def stretches(data: Measurements, count: int) -> list[IntArray]:
     """Cut the measurements, in their order, into stretches of about equally many poses.
-
-    Args:
-        count: Number of stretches.
 
     Returns:
         Indices of each stretch, ascending, (n_in_stretch,) each; repeats of one pose stay together.

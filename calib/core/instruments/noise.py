@@ -7,7 +7,7 @@ frame it may be stated as one standard deviation along the beam, and one for bot
 
 Where a file states the covariance of a reading, that one is used. Where nothing is stated, every row of a part has the
 same unknown standard deviation: the covariance is that of 1 SI unit, and its scale is found from the residuals
-(`calib.core.numerics.variance_components`).
+(`calib.core.numerics.size_search`).
 """
 
 from __future__ import annotations

@@ -266,7 +266,6 @@ class _Tests:
 
 
 def _single_rms(system: System) -> float:
-    """Root mean square distance of single readings from predicted positions [m]."""
     lengths = system.errors.errors("after", single=True)
     if not len(lengths):
         return float("nan")

@@ -75,15 +75,13 @@ class PossibleChanges:
 
     Attributes:
         name: The parameter, or `zero of JOINT`.
-        index: Index among the free parameters, or among the actuated joints.
-        is_joint: Whether `index` counts actuated joints.
+        index: Index among the actuated joints, then the free parameters.
         scale: Unit of the change [m or rad].
     """
 
     name: str
     dimension: Dimension
     index: int
-    is_joint: bool
     scale: float
 
 
@@ -94,13 +92,13 @@ def candidates(robot: Robot) -> list[PossibleChanges]:
     """
     free = np.flatnonzero(robot.is_free)
     parameters = [
-        PossibleChanges(p.name, p.dimension, k, False, p.sigma_si)
+        PossibleChanges(p.name, p.dimension, len(robot.joint_names) + k, p.sigma_si)
         for k, p in enumerate(robot.parameters[i] for i in free)
         if not p.placement and not p.family and free[k] < robot.n_origin_parameters
     ]
     mechanism = robot.mechanism
     zeros = [
-        PossibleChanges(f"zero of {name}", mechanism.dimensions[name], j, True, _JOINT_STEP * float(scale))
+        PossibleChanges(f"zero of {name}", mechanism.dimensions[name], j, _JOINT_STEP * float(scale))
         for j, (name, scale) in enumerate(zip(robot.joint_names, mechanism.joint_scale, strict=True))
     ]
     return zeros + parameters
@@ -130,7 +128,6 @@ class System:
     """The least-squares problem.
 
     Attributes:
-        promise: The tested promise.
         rows: The linear model: r by the uncertain parameters J L, which have a prior, and by the places P, of length 1.
         candidate_columns: Columns of the candidates, (n_rows, n_candidates).
         errors: Errors of the readings after placing base and targets, without outliers.
@@ -172,7 +169,8 @@ class System:
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         columns = np.hstack([jacobian[:, index] @ root, unit_columns(jacobian[:, placed])[0]])
         prior = Prior(np.arange(columns.shape[1]) < root.shape[1])
-        candidate_columns = _candidate_columns(robot, np.hstack([jacobian, joints]), len(unknowns))
+        by_all = np.hstack([_JOINT_STEP * robot.mechanism.joint_scale * joints, jacobian])
+        candidate_columns = by_all[:, [candidate.index for candidate in candidates(robot)]]
         errors = {name: block.residuals for name, block in observed.items()}
         return System(
             promise,
@@ -285,17 +283,6 @@ class System:
         return tuple(changes)
 
 
-def _candidate_columns(robot: Robot, columns: FloatArray, n_free: int) -> FloatArray:
-    """Columns of the candidates, (n_rows, n_candidates), from those of all free parameters and joints."""
-    return np.stack(
-        [
-            c.scale * columns[:, n_free + c.index] if c.is_joint else columns[:, c.index]  # parameters are scaled
-            for c in candidates(robot)
-        ],
-        axis=1,
-    )
-
-
 def six_digits(value: float) -> float:
     """Return a number to six digits, so that rounding decides about no order."""
     return float(f"{value:.6g}")
@@ -335,7 +322,6 @@ def _expected_distances(
     """Return the expectation of the distances between measured and predicted positions.
 
     Args:
-        promise: Noise, errors of joints, and shared errors.
         robot: The robot with undecided terms, placed by the readings.
         observed: Observed readings, with derivatives by parameters and joints.
         uncertain: Numbers of the uncertain parameters among the free ones, (n,).

@@ -54,9 +54,7 @@ class UnusedErrors:
     """Errors on one set of unused poses.
 
     Attributes:
-        name: Name of these poses.
         before, after: Root mean square error of the main part of the readings [SI].
-        dimension: Dimension of that part.
         better, worse: Whether the calibration made errors smaller, or larger, beyond chance.
     """
 
@@ -113,7 +111,6 @@ def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Unused
 
 
 def _has_grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
-    """Whether errors of rows (n_rows,), pose by pose, have grown by more than `HARM`, beyond chance."""
     squares: list[FloatArray] = [np.bincount(pose, errors**2).astype(float) for errors in (before, after)]
     return bool(np.sum(squares[1]) > HARM**2 * np.sum(squares[0])) and surely_positive(squares[1] - squares[0])
 

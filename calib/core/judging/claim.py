@@ -291,7 +291,6 @@ def is_elsewhere(unlike: BoolArray) -> bool:
 
 
 def _known(fit: Fit, measured: Accuracy) -> float:
-    """Return `Claim.rms`."""
     if not measured.is_position:
         return float("nan")
     return math.hypot(
@@ -300,14 +299,12 @@ def _known(fit: Fit, measured: Accuracy) -> float:
 
 
 def _most(fit: Fit, measured: Accuracy, seen: Accuracy) -> float:
-    """Return the largest ratio of another error to the claimed one."""
     coordinates = 1 if fit.statistics.shared_scatter is not None else len(fit.identification.main_part.axes)
     bound = scipy.special.fdtri(coordinates * seen.n_poses, coordinates * measured.n_poses, 1.0 - UNLIKELY)
     return max(MORE, float(np.sqrt(bound)))
 
 
 def _squares(errors: ErrorSet, state: str) -> FloatArray:
-    """Squared error of each visit, (n_visits,), of the main part of its readings."""
     lengths = errors.errors(state, errors.main_part.name)
     return np.asarray(np.nansum(np.square(lengths).reshape(len(lengths), -1), axis=1))
 

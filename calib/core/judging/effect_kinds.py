@@ -37,9 +37,7 @@ class Kind(StrEnum):
     """A kind of effect.
 
     Attributes:
-        family: Its group.
         sentence: Text on a pattern of this kind; `describe` fills in the braces.
-        traits: Its properties.
     """
 
     family: Family
@@ -124,7 +122,6 @@ class Pattern:
     """A tested effect.
 
     Attributes:
-        kind: Kind of the effect.
         name: The axis, joint or target; `xyz` for all axes.
         p_value: Chance of such a pattern from noise, over all tests.
         size: Root mean square of its contribution to positions [m], or if there are none, to other readings [SI]; of an

@@ -59,7 +59,6 @@ class Effects:
     """Effects of one kind on one thing; each adds B (x) F: every column of B times every factor of F.
 
     Attributes:
-        kind: The kind of effect.
         name: Its axis, joint, target or instrument; `xyz` for all axes.
         base: B, change of the whitened rows, (n_rows, b).
         visit: Visit of each row, (n_rows,).
@@ -88,9 +87,7 @@ class Effects:
         """Return the detail of an effect.
 
         Args:
-            number: The effect.
             alike: Effects that explain the residuals as well, and this one, in rising order, (n_alike,).
-            n_tested: Number of effects that were tested.
         """
         return self.details[number]
 
@@ -188,7 +185,6 @@ def _frame_effects(setting: EffectSetting) -> Iterator[Effects]:
 
 
 def _instrument_effects(setting: EffectSetting) -> Iterator[Effects]:
-    """Constants in the readings of each instrument, and what it reads too large by a factor."""
     scaled, visit, always = own_scales(setting), setting.visit, _always(setting)
     for name, group, columns in constants(setting):
         yield Effects(Kind.OFFSET, name, columns, visit, always, group=group)
@@ -235,7 +231,6 @@ def _joint_effects(setting: EffectSetting) -> Iterator[Effects]:
 
 
 def _always(setting: EffectSetting) -> FloatArray:
-    """Factors of one effect that is the same at all visits, (n_visits, 1, 1)."""
     return np.ones((len(setting.data), 1, 1))
 
 

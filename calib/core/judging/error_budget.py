@@ -75,8 +75,6 @@ class ErrorBudget:
 
     Attributes:
         used: Whether it covers the used readings, corrected for the fit to them; else the validation readings.
-        part: Part of the readings that it covers.
-        n_readings, n_poses: Number of these readings, and of their poses.
         before, after: Mean square error of a reading before and after [SI, squared].
         shares: The causes, then the rest; they add up to `before`.
         noise_from: `repeats` or `stated`; empty where the noise is not known.
@@ -215,7 +213,6 @@ def _batches(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout)
 
 
 def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:
-    """Return h_k of the module docstring, (n_causes,)."""
     n = rows.jacobian.shape[1]  # only rows that count; a triangular factor has the same sums over them
     jacobian = rows.factor[:n, :-1] if np.all(counted) else reduce_rows(rows.jacobian[counted])
     pulled = (jacobian @ rows.posterior_information.root) @ rows.posterior_information.root.T
@@ -242,13 +239,11 @@ def _root_of_span(columns: FloatArray) -> FloatArray:
 
 
 def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:
-    """All rows of all instruments, (n_rows,) or (n_rows, k), from (n, n_rows) or (n, n_rows, k) of each."""
     parts = [arrays[name].reshape(-1, *arrays[name].shape[2:]) for name in layout.instruments]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _std(parts: FloatArray, pose: IntArray) -> float:
-    """Standard deviation of the mean of parts (n_readings,), by the poses that they belong to; NaN for one pose."""
     number = np.unique(pose, return_inverse=True)[1]
     sums = np.bincount(number, parts - np.mean(parts))
     if len(sums) < 2:

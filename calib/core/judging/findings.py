@@ -16,12 +16,13 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import Outlier, outliers_of, readings_of_outliers
 from calib.core.fitting.settings import Settings
 from calib.core.judging import residual_patterns
+from calib.core.judging.acceptance_system import System
 from calib.core.judging.effect_kinds import Kind, Pattern, Trait
 from calib.core.judging.effects import effects
 from calib.core.judging.error_budget import ErrorBudget, error_budget, joint_causes
 from calib.core.judging.linear_fit import LinearFit
+from calib.core.judging.promise import Promise
 from calib.core.judging.row_derivatives import EffectSetting
-from calib.core.numerics import linalg
 from calib.core.numerics.losses import StudentisedErrors
 
 MOST_POSES = 10_000
@@ -42,15 +43,12 @@ def studentise_errors(fit: Fit) -> StudentisedErrors:
 
 @memoize
 def validation_studentised(fit: Fit) -> StudentisedErrors | None:
-    """Return the studentised error of every validation reading; None without validation."""
-    rows = fit.validation_rows
-    if rows is None:
+    """Return the studentised error of every validation reading, from noise and all uncertainty; None without any."""
+    if fit.validation is None:
         return None
-    known = fit.covariance.values / np.outer(fit.unknowns.scales, fit.unknowns.scales)
-    values, vectors = linalg.eigh(known)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    scale = studentise_errors(fit).scale / _factor(fit)
-    return rows.studentise(root, np.zeros(rows.layout.n_readings), fit.statistics.freedom, scale)
+    rows = System.from_promise(Promise.from_calibration(fit), fit.validation.data, same_setup=True).rows
+    unused, known = np.zeros(rows.layout.n_readings), np.eye(rows.jacobian.shape[1])
+    return rows.studentise(known, unused, fit.statistics.freedom, studentise_errors(fit).scale / _factor(fit))
 
 
 def _factor(fit: Fit) -> float:

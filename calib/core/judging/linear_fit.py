@@ -9,7 +9,6 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
-from calib.core.numerics.clusters import LeftOutBlocks
 from calib.core.numerics.tall import Span
 from calib.core.rows.rows import Rows
 
@@ -26,7 +25,6 @@ class LinearFit:
     Attributes:
         rows: Its whitened rows, with the weights of a robust loss.
         span: J T, the directions that the fit absorbs, (n_rows, rank), with T of `calib.core.numerics.observability`.
-        freedom: Degrees of freedom.
         factor: Found over assumed noise.
         pose_freedom: Degrees of freedom of the scatter of poses, where they scatter more than independent readings;
             else infinite.
@@ -79,11 +77,6 @@ class LinearFit:
         sizes, deviations = np.zeros(len(size)), np.full(len(size), np.inf)
         sizes[made], deviations[made] = found / size[made], scatter * np.sqrt(np.diag(inverse)) / size[made]
         return sizes, deviations
-
-    @cached_property
-    def without_poses(self) -> LeftOutBlocks:
-        """The fit with poses left out in turn."""
-        return LeftOutBlocks(self.span, self.rows.layout.pose_of_row)
 
     @cached_property
     def square(self) -> float:

@@ -57,7 +57,6 @@ class NextStep:
         """Return the sentence with the user's files in place of `ROBOT`, `DATA` and `DIR`.
 
         Args:
-            robot, data, folder: The files.
             options: The user's options for this kind of command, with their values, by name.
         """
         files = {ROBOT: shlex.quote(robot), DATA: shlex.join(data), FOLDER: shlex.quote(folder)}
@@ -110,7 +109,6 @@ def _has_poses_for_terms(fit: Fit) -> bool:
 
 
 def _tried_answers(fit: Fit) -> set[Answer]:
-    """Answers that this fit has tried already."""
     by_auto = fit.terms is not None and fit.terms.automatic
     tried = {Answer.LEAVE_OUT: fit.with_all is not None, Answer.ADD_TERMS: by_auto, Answer.TRY_STARTS: bool(fit.starts)}
     return {answer for answer, was in tried.items() if was}

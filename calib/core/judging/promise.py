@@ -21,8 +21,6 @@ class Promise:
     """Predictions of a calibration for new readings of its robot.
 
     Attributes:
-        robot: The calibrated robot.
-        uncertainty: Its uncertainty.
         freedom: Degrees of freedom of the found noise.
         sigma: Noise of one component beside errors of joints, by group and part of the instruments [SI].
         shared: Common scatter of the readings of a pose, over that of independent readings (`Scatter.ratio`).

@@ -142,7 +142,6 @@ def pose_error_over_repeatability(errors: ErrorSet, n_effective: float) -> tuple
     The ratio is NaN and its chance 1 if there are no repeats, or if they do not scatter at all.
 
     Args:
-        errors: Errors of the used visits.
         n_effective: Number of parameters that they decided.
     """
     deviation, n_free = repeatability(errors)
@@ -170,7 +169,6 @@ def iso_figures(errors: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFig
 
     Args:
         errors: Errors after calibration, prediction minus read.
-        rng: Source of the draws that make intervals.
     """
     names = dict(zip(errors.data.pose_numbers.tolist(), errors.data.names, strict=True))
     several = _pose_scatters(errors)
@@ -212,7 +210,6 @@ def _distances(errors: ErrorSet, several: list[PoseScatter], names: Mapping[int,
 
 
 def _mean_prediction(errors: ErrorSet, scatter: PoseScatter) -> FloatArray:
-    """Mean position that was predicted, (3,) [m]."""
     instrument = next(i for i in errors.instruments if i.name == scatter.instrument)
     read = instrument.points(errors.data.readings[scatter.instrument].values[scatter.readings])
     if read is None:
@@ -255,7 +252,6 @@ def _drifts(
 def _missing(
     errors: ErrorSet, several: list[PoseScatter], turned: list[PoseScatter], figures: list[IsoFigure]
 ) -> list[str]:
-    """Return the figures of the standard for which data are missing, in words."""
     cycles = [len(scatter.after) for scatter in several]
     result = []
     if not several:

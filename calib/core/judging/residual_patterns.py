@@ -46,6 +46,7 @@ from calib.core.judging.linear_fit import ABSORBED, LinearFit
 from calib.core.judging.row_derivatives import EffectSetting
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, FALSE_ALARM
+from calib.core.numerics.clusters import shifts_without_block
 from calib.core.numerics.tall import KEPT, slices
 
 SMALLEST_EFFECT = 0.1
@@ -78,7 +79,6 @@ class _EffectTests:
     Attributes:
         effects: Effects of one kind and name.
         numbers: Their numbers, (m,).
-        freedom: Degrees of freedom of the residuals.
         ratios: F of the module docstring, (m,).
         ranks: Columns left after M, (m,).
         gains: Decrease of |r|^2, (m,).
@@ -111,7 +111,6 @@ class _EffectTests:
         """Return the detail of an effect; for a wave all numbers of cycles that explain the residuals as well.
 
         Args:
-            row: The effect.
             margin: Difference of gains in |r|^2 that noise could have caused.
         """
         alike = self.numbers[self.gains > self.gains[row] - margin]
@@ -159,7 +158,6 @@ def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
 
 
 def _moments(residuals: LinearFit, some: Sequence[Effects]) -> list[_Moments]:
-    """Return the moments of effects; see the module docstring."""
     span = residuals.span
     tall, n = len(span) > KEPT, len(span.root)  # then J T is not stored: it is computed from sums over rows
     known = [span[:]] if not tall else [span.jacobian] if span.more is None else [span.jacobian, span.more]
@@ -187,7 +185,6 @@ def _moments(residuals: LinearFit, some: Sequence[Effects]) -> list[_Moments]:
 
 
 def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:
-    """Return Z^T Z of each effect, (m, b f, b f), from B^T B of visits (n, b, b) and factors (n, f, m)."""
     (n, f, m), b = factors.shape, sums.shape[1]
     flat, whole = sums.reshape(n, -1).T, np.empty((b, b, f, f, m))
     for i, j in combinations_with_replacement(range(f), 2):
@@ -223,7 +220,6 @@ def _sums_of_visits(base: FloatArray, others: FloatArray, firsts: IntArray) -> F
 
 
 def _tests(residuals: LinearFit, some: Sequence[Effects]) -> list[_EffectTests]:
-    """Test the visible effects, all with equally many columns at once."""
     by_width: dict[int, list[_Moments]] = {}
     for moments in _moments(residuals, some):
         by_width.setdefault(moments.score.shape[1], []).append(moments)
@@ -231,7 +227,6 @@ def _tests(residuals: LinearFit, some: Sequence[Effects]) -> list[_EffectTests]:
 
 
 def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTests]:
-    """Test effects with equally many columns, without absorbed ones and those that leave no degree of freedom."""
     squares, left, scores = (
         np.concatenate([getattr(moments, name) for moments in some]) for name in ("squares", "left", "score")
     )
@@ -283,4 +278,4 @@ def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: Floa
     result = chance(left)
     if result >= limit:
         return result
-    return chance(left + residuals.without_poses.shifts_without_block(left, further_columns=basis)[0])
+    return chance(left + shifts_without_block(residuals.span, pose, left, further_columns=basis)[0])

@@ -150,7 +150,6 @@ def _parts(setting: EffectSetting) -> Iterator[tuple[str, Part, int, BoolArray]]
 
 
 def _whitened_alone(setting: EffectSetting, name: str, change: FloatArray) -> FloatArray:
-    """Return a change of the readings of one instrument alone, (n or 1, n_rows, k), as whitened rows, (n_all, k)."""
     robot, arrays = setting.fit.robot, dict[str, FloatArray]()
     for other, read in setting.data.readings.items():
         shape = len(read), robot.instrument(other).n_rows, change.shape[2]
@@ -182,7 +181,6 @@ def gains(setting: EffectSetting) -> FloatArray:
 
 
 def _position_rows(instrument: Instrument) -> list[int]:
-    """Rows of an instrument that are the position of its target; none for kinds that measure none."""
     return [k for k, part in enumerate(instrument.part_of_row) if instrument.parts[part].is_position]
 
 
@@ -276,7 +274,6 @@ def moved_targets(setting: EffectSetting) -> dict[str, list[FloatArray]]:
 
 
 def _moved_target(setting: EffectSetting, target: str) -> list[FloatArray]:
-    """Return the entry of a target in `moved_targets`."""
     robot, links = setting.fit.robot, [None, *other_joints(setting.fit.robot, target)]
     result: dict[str, FloatArray] = {
         name: np.zeros((len(readings), robot.instrument(name).n_rows, 3 * len(links)))

@@ -82,7 +82,6 @@ def check_convergence(fit: Fit) -> Iterator[Reason]:
 
 
 def _joints_at_limit(fit: Fit) -> list[str]:
-    """Name the passive joints that are at a limit at a pose."""
     mechanism, passive = fit.robot.mechanism, fit.configurations.passive
     gaps = np.minimum(passive - mechanism.lower, mechanism.upper - passive)
     return [mechanism.passive[k] for k in np.flatnonzero(np.any(gaps < _AT_LIMIT, axis=0))]
@@ -212,7 +211,6 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
 
 
 def _base_in_words(robot: Robot, placed: Placement) -> str:
-    """A clause with the correction of the base."""
     pose = placed.T_base_measurement.inverse()
     rpy = ", ".join(f"{PER_SI['angle']['deg'] * value:.3f} deg" for value in pin.rpy.matrixToRpy(pose.rotation))
     has_own_base = isinstance(robot.description.parametrisation, str)  # then it cannot be called unknown

@@ -130,7 +130,6 @@ def _check_usual_noise(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
 
 
 def _proven_by_another(fit: Fit) -> bool:
-    """Whether errors decrease at poses read by an instrument that was not used for the fit."""
     used = fit.identification.data.readings.keys()
     another = fit.validation is not None and bool(fit.validation.data.readings.keys() - used)
     return another and any(comparison.better for comparison in comparisons(fit))
@@ -198,7 +197,6 @@ def _may_be_left_out(fit: Fit, estimate: NoiseEstimate) -> bool:
 
 
 def _most(estimate: NoiseEstimate) -> float:
-    """Largest noise that may remain, divided by the spread of the measured positions."""
     return LEFT_OUT if estimate.stated is not None else NOT_STATED * LEFT_OUT
 
 
@@ -221,7 +219,6 @@ def _check_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
 
 
 def _noise_above_statement(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
-    """Return the reason for a noise that is far above its statement."""
     text += ": the model does not explain the measurements;"
     compared = list(comparisons(fit))
     better = any(comparison.better for comparison in compared)

@@ -152,14 +152,12 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
 
 @memoize
 def _residuals_of_scales(fit: Fit) -> tuple[FloatArray, int]:
-    """`_remaining_residuals` for scales (all lengths, each axis, each instrument), gains of joints, and constants."""
     setting = findings.setting(fit)
     others = [gains(setting), *(columns for _, _, columns in constants(setting))]
     return _remaining_residuals(fit, np.hstack([scales(setting), *own_scales(setting).values(), *others]))
 
 
 def _scale_sentence(part: float, *, angles: bool) -> str:
-    """Return a clause on the ratio of measured to described lengths or angles, which fit once scaled by 1 + part."""
     less, more, same = ("smaller", "larger", "large") if angles else ("shorter", "longer", "long")
     if abs(part) > MANIFOLD:
         return f"{1.0 / max(1.0 + part, _NOTHING):.3g} times as {same} as"

@@ -18,9 +18,8 @@ from calib.core.fitting.terms.joint_curves import is_beyond_learned
 from calib.core.judging.claim import Claim
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.numerics.halton import halton
-from calib.core.robots.configurations import Configurations, solve_configurations
-from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
 from calib.core.rows.prediction import order_of_joints, recombined_joints, without_common_motion
 
 BEYOND_LIMIT = 0.01
@@ -58,9 +57,8 @@ def check_joint_motion(fit: Fit) -> Iterator[Reason]:
     if np.all(part[~still] < CORNER):  # `one_corner` reports this
         return
     for j in np.flatnonzero((part < CORNER) & ~still):
-        elsewhere = _poses_over_range(fit, int(j), float(allowed[j]))
-        at_used = _uncertain_at_used(fit)
-        away = _uncertain(_relative(fit, elsewhere), fit.covariance.values)[0] if len(elsewhere.actuated) else 0.0
+        at_used, slope = _uncertain_at_used(fit), _slope(fit, _poses_over_range(fit, int(j), float(allowed[j])))
+        away = _size(slope, fit.uncertainty.covariance_of(fit.robot))
         if away > _well_known(fit, at_used):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
@@ -86,31 +84,20 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def _poses_over_range(fit: Fit, j: int, allowed: float) -> Configurations:
-    """The used poses with one joint spread over its limits, as far as they close."""
+def _poses_over_range(fit: Fit, j: int, allowed: float) -> FloatArray:
     used = fit.identification.data.joints
     q = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(np.intp))].copy()
     middle = np.mean(q[:, j])
     lower, upper = (limits[j] for limits in fit.nominal.urdf.limits(fit.nominal.joint_names))
     q[:, j] = np.clip(middle + allowed * np.linspace(-0.5, 0.5, len(q)), lower, upper)
-    return _as_far_as_closed(fit.robot, q)
-
-
-def _as_far_as_closed(robot: Robot, q: FloatArray) -> Configurations:
-    """Configurations of the poses q (n, n_actuated) [m or rad] that close."""
-    closed = robot.close(q)
-    which = np.flatnonzero(closed.ok)
-    return solve_configurations(robot, q[which], closed.select(which))
+    return q
 
 
 @memoize
 def _uncertain_at_used(fit: Fit) -> float:
-    """Root mean square uncertainty of positions at used poses, at most `_SAMPLED` of them [m]."""
-    data, passive = fit.identification.data, fit.identification.passive
+    data = fit.identification.data
     used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
-    near = None if passive is None else passive[used]
-    configurations = fit.robot.assemble(data.joints[used], near, context=data.conditions.select(used))
-    return _uncertain(_relative(fit, configurations), fit.covariance.values)[0]
+    return _size(_slope(fit, data.joints[used], data.conditions.select(used)), fit.uncertainty.covariance_of(fit.robot))
 
 
 def _well_known(fit: Fit, at_used: float) -> float:
@@ -214,35 +201,40 @@ def _widening_sentence(fit: Fit, q: FloatArray) -> str:
     Base and tool are placed anew, because their place does not depend on the terms.
     """
     terms = np.isin(fit.unknowns.index, np.arange(len(fit.nominal.parameters))[fit.robot.coefficients])
-    if not np.any(terms) or fit.computed:
+    slope = _slope(fit, q) if np.any(terms) and not fit.computed else np.zeros((0, 0))
+    if not len(slope):
         return ""
-    configurations = _as_far_as_closed(fit.robot, q)
-    if len(configurations.actuated) == 0:
-        return ""
-    covariance, flat = fit.covariance.values, _relative(fit, configurations)
-    at_used = _uncertain_at_used(fit)
-    away, alone = _uncertain(flat, covariance, _covariance_given(covariance, terms))
+    covariance, at_used = fit.uncertainty.covariance_of(fit.robot), _uncertain_at_used(fit)
+    known = np.append(terms, np.zeros(len(covariance) - len(terms), dtype=bool))
+    away, alone = _size(slope, covariance), _size(slope, _covariance_given(covariance, known))
     if away <= max(_well_known(fit, at_used), WIDENED * alone):
         return ""
     used = f"{millimetres(at_used):.2g} mm at the poses used"
     return f"{millimetres(away):.2g} mm RMS there, and to {used}, not counting base and tool"
 
 
-def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
-    """Derivative of positions by the unknowns, without the motion of all as one body, (3 n, n_unknowns)."""
-    linear, targets = linearise(fit.robot, configurations), fit.robot.reported_targets
+def _slope(fit: Fit, q: FloatArray, context: Context | None = None) -> FloatArray:
+    """Derivative of positions at poses q (n, n_actuated) that close by all uncertain quantities, (3 n, n_uncertain).
+
+    The motion of all positions as one body is left out.
+    """
+    closed, robot = np.flatnonzero(fit.robot.close(q).ok), fit.robot
+    if not len(closed):
+        return np.zeros((0, len(fit.uncertainty.lasting(robot))))
+    conditions = (context or Context.neutral(*q.shape)).select(closed)
+    linear, targets = fit.uncertainty.linearise(robot, q[closed], conditions, turns=False), robot.reported_targets
     rows = without_common_motion(linear.positions[:, targets], linear.jacobian[:, targets])
-    return rows.reshape(-1, rows.shape[-1])[:, fit.unknowns.index]
+    return rows.reshape(-1, rows.shape[-1])
 
 
-def _uncertain(flat: FloatArray, *covariances: FloatArray) -> list[float]:
-    """Root mean square uncertainty of positions for each covariance [m]; `flat` are derivatives from `_relative`."""
-    products = flat.T @ flat / len(flat)
-    return [float(np.sqrt(max(3.0 * float(np.sum(products * covariance)), 0.0))) for covariance in covariances]
+def _size(slope: FloatArray, covariance: FloatArray) -> float:
+    """Root mean square uncertainty of positions with this derivative (3 n, n_uncertain) [m]; 0 where there are none."""
+    spread = np.sum((slope @ covariance) * slope)
+    return float(np.sqrt(max(3.0 * float(spread) / max(len(slope), 1), 0.0)))
 
 
 def _covariance_given(covariance: FloatArray, known: BoolArray) -> FloatArray:
-    """Covariance of all unknowns if some of them were known (n,): the conditional one of the others, and zeros."""
+    """Covariance of all quantities if some of them were known (n,): the conditional one of the others, and zeros."""
     size = np.sqrt(np.diag(covariance))
     size = np.where(size > 0, size, 1.0)
     left, correlation = ~known, covariance / np.outer(size, size)

@@ -51,7 +51,6 @@ def _system(promise: Promise, joints: FloatArray) -> System:
 
 
 def _order(promise: Promise, joints: FloatArray, change: Change) -> IntArray:
-    """Numbers of the poses (n, n_actuated) with most information on a change, best first."""
     system = _system(promise, joints)
     number = [known.name for known in candidates(promise.robot)].index(change.name)
     places, layout = system.rows.jacobian[:, ~system.rows.prior.has], system.rows.layout

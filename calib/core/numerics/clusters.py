@@ -116,7 +116,6 @@ def scatter(
 
 
 def _products(rows: FloatArray) -> FloatArray:
-    """Return the products of the columns of a matrix (m, k) with each other, (k, k)."""
     return rows.T @ rows
 
 
@@ -156,64 +155,34 @@ def directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, Flo
     return values, errors, size[..., None] * turned
 
 
-class LeftOutBlocks:
-    """Blocks left out in turn, from a fit and from fits with a few further parameters.
+def shifts_without_block(
+    span: FloatArray | Span,
+    block: IntArray,
+    residuals: FloatArray,
+    *,
+    further_columns: FloatArray | None = None,
+    seen: FloatArray | Span | None = None,
+    alone: float = _OWN,
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far rows move where their own block is left out, (n_rows,), and its largest w, (n_blocks,).
 
-    With residuals r_b of block b, leaving it out moves the solution by U_b^T (1 - H_b)^-1 r_b in the coordinates of T.
-    The residuals of block b by the fit of all others are (1 - H_b)^-1 r_b.
+    Leaving out block b moves the solution by U_b^T (1 - H_b)^-1 r_b in the coordinates of T. Residuals of block b by
+    the fit of all others are (1 - H_b)^-1 r_b.
 
     Args:
         span: U = J T of whitened rows of the fit, (n_rows, k).
         block: Block of each row, (n_rows,); -1 for rows that belong to none, which do not move.
+        residuals: r, whitened, (n_rows,).
+        further_columns: Further columns of U, (n_rows, n_further); none if not given.
+        seen: U without the weights of a robust loss, (n_rows, k), of the rows that move; U if not given.
+        alone: Nothing moves along a direction of which a block decides at least this part.
     """
-
-    def __init__(self, span: FloatArray | Span, block: IntArray) -> None:
-        self._span, self._block = span, block
-        self._hats = [(rows, self._hat(rows)) for rows in blocks_of_equal_length(block)]
-
-    def _hat(self, rows: IntArray) -> FloatArray | None:
-        """H_b of blocks (n, m, m); None where it is larger than U_b."""
-        if rows.shape[1] > self._span.shape[1]:
-            return None
-        own = self._span[rows]
-        return np.matmul(own, own.transpose(0, 2, 1))
-
-    def shifts_without_block(
-        self,
-        residuals: FloatArray,
-        *,
-        further_columns: FloatArray | None = None,
-        seen: FloatArray | Span | None = None,
-        alone: float = _OWN,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return how far rows move where their own block is left out, (n_rows,), and its largest w, (n_blocks,).
-
-        Args:
-            residuals: r, whitened, (n_rows,).
-            further_columns: Further columns of U, (n_rows, n_further); none if not given.
-            seen: U without the weights of a robust loss, (n_rows, k), of the rows that move; U if not given.
-            alone: Nothing moves along a direction of which a block decides at least this part.
-        """
-        moved, largest = np.zeros(len(residuals)), np.zeros(int(self._block.max(initial=-1)) + 1)
-        for rows, hat in self._hats:
-            across: FloatArray | None = None
-            left, further = residuals[rows][:, :, None], None if further_columns is None else further_columns[rows]
-            if hat is None or seen is not None:
-                own = self._span[rows] if further is None else np.concatenate([self._span[rows], further], axis=2)
-                across = own.transpose(0, 2, 1)
-            if hat is None:
-                assert across is not None
-                small, left = np.matmul(across, own), np.matmul(across, left)
-            else:
-                small = hat if further is None else hat + np.matmul(further, further.transpose(0, 2, 1))
-            values, vectors = linalg.eigh(small)
-            values = np.clip(values, 0.0, 1.0)
-            gain = np.where(values < alone, 1.0 / np.maximum(1.0 - values, 1.0 - alone), 0.0)
-            if across is None:  # U_b c_b = H_b (1 - H_b)^-1 r_b
-                gain *= values
-            further_on = np.matmul(vectors, gain[:, :, None] * np.matmul(vectors.transpose(0, 2, 1), left))
-            if across is not None:
-                further_on = further_on if hat is None else np.matmul(across, further_on)
-                further_on = np.matmul(own if seen is None else seen[rows], further_on)
-            moved[rows], largest[self._block[rows[:, 0]]] = further_on[:, :, 0], values[:, -1]
-        return moved, largest
+    moved, largest = np.zeros(len(residuals)), np.zeros(int(block.max(initial=-1)) + 1)
+    for rows in blocks_of_equal_length(block):
+        own = span[rows] if further_columns is None else np.concatenate([span[rows], further_columns[rows]], axis=2)
+        values, errors, turned = directions(own, residuals[rows])
+        gain = np.where(values < alone, 1.0 / np.maximum(1.0 - values, 1.0 - alone), 0.0)
+        step = np.matmul(turned.transpose(0, 2, 1), (gain * errors)[:, :, None])
+        moved[rows] = np.matmul(own if seen is None else seen[rows], step)[:, :, 0]
+        largest[block[rows[:, 0]]] = values[:, -1]
+    return moved, largest

@@ -122,7 +122,6 @@ def drift(blocks: Sequence[FloatArray], rng: np.random.Generator) -> tuple[Figur
 
     Args:
         blocks: Attained minus commanded positions of blocks of cycles in the order of time, (n, 3) each [m].
-        rng: Source of the draws that make the intervals.
     """
     tail = _TAIL / len(blocks)
     accuracy = [pose_accuracy(block, tail) for block in blocks]
@@ -131,7 +130,6 @@ def drift(blocks: Sequence[FloatArray], rng: np.random.Generator) -> tuple[Figur
 
 
 def _largest_change(figures: Sequence[Figure]) -> Figure:
-    """The largest change from the first figure, with limits from those of the two figures."""
     first, changes = figures[0], []
     for figure in figures[1:]:
         apart = max(figure.low95 - first.high95, first.low95 - figure.high95, 0.0)

@@ -94,7 +94,8 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError
-from calib.core.numerics.linear_point import ON_RADIUS, LinearPoint, RowStack
+from calib.core.numerics.linear_model import LinearModel
+from calib.core.numerics.linear_point import ON_RADIUS, LinearPoint
 
 MAX_EVALUATIONS = 200
 TOLERANCE = 1e-12
@@ -128,16 +129,14 @@ class LeastSquaresSolution:
         x: The unknowns, (n,).
         residuals: r(x), (m,).
         jacobian: J(x) as the caller's function returned it, (m, n).
-        cost: |r|^2.
         converged: Whether a stopping rule was met before the evaluations ran out.
-        evaluations: Number of evaluated points.
         message: The rule that ended it.
         recedes: Whether the minimum was given up because it recedes.
     """
 
     x: FloatArray
     residuals: FloatArray
-    jacobian: FloatArray | RowStack
+    jacobian: FloatArray | LinearModel
     cost: float
     converged: bool
     evaluations: int
@@ -147,7 +146,7 @@ class LeastSquaresSolution:
 
 def minimise(
     residuals: Callable[[FloatArray], FloatArray],
-    jacobian: Callable[[FloatArray], FloatArray | RowStack],
+    jacobian: Callable[[FloatArray], FloatArray | LinearModel],
     start: FloatArray,
     *,
     scaling: Literal["unit", "jacobian"] = "unit",
@@ -282,7 +281,7 @@ class _Iteration:
         last = self.current.x - before.x
         along = float(last @ self._step) / float(last @ last)
         way = along * (self._step - 0.5 * along * last)
-        return self.current.jacobian.times(way) - before.jacobian.times(way)
+        return self.current.model.times(way) - before.model.times(way)
 
     def _back(self, bend: FloatArray) -> FloatArray | None:
         """Return the step that removes a bend, (n,)."""
@@ -295,11 +294,11 @@ class _Iteration:
             return None
         if not np.isfinite(reached) or self.current.cost - reached >= _GOOD * promised:
             return None
-        back = self._back(values - self.current.residuals - self.current.jacobian.times(self._taken))
+        back = self._back(values - self.current.residuals - self.current.model.times(self._taken))
         return None if back is None else np.asarray(self.current.x + self._step + back)
 
     def take_step(
-        self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray | RowStack]
+        self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray | LinearModel]
     ) -> int:
         """Take the step to x (n,) with these residuals (m,), or stay; return the number of further evaluations."""
         reached, length = _cost(values), min(self._length(self._step), self._radius)
@@ -321,13 +320,13 @@ class _Iteration:
         else:
             promised = self.current.cost - self._promised
             self._radius = self._next_radius(trial, (self.current.cost - reached) / promised if promised > 0 else 0.0)
-            count = min(_KEPT, _NUMBERS_KEPT // max(self.current.jacobian.rows.size, 1))
+            count = min(_KEPT, _NUMBERS_KEPT // max(self.current.model.jacobian.size, 1))
             self._past = [*self._past, self.current][-count:] if count else []
         self.current = trial
         self._rescale(trial)
         return 0
 
-    def go_back(self, jacobian: Callable[[FloatArray], FloatArray | RowStack]) -> int:
+    def go_back(self, jacobian: Callable[[FloatArray], FloatArray | LinearModel]) -> int:
         """Go back to the bottom of the valley for good, if the path is away; return the number of evaluations."""
         if self._left is None:
             return 0
@@ -341,7 +340,7 @@ class _Iteration:
             return self._radius
         length = self._length(self._step)
         if self._cautious and length >= (1.0 - ON_RADIUS) * self._radius:
-            linear = self.current.residuals + self.current.jacobian.times(self._step)
+            linear = self.current.residuals + self.current.model.times(self._step)
             left = float(np.linalg.norm(trial.residuals - linear))
             if left * (self._length(trial.newton) / length) ** 2 <= np.sqrt(trial.cost):
                 return np.inf

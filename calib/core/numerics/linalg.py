@@ -97,7 +97,6 @@ def pinv(matrix: FloatArray, rcond: float = 1e-15, *, hermitian: bool = False) -
     """Return the pseudo-inverses (..., n, m) of matrices (..., m, n).
 
     Args:
-        matrix: The matrices.
         rcond: Part of the largest singular value below which others count as 0.
         hermitian: Whether they are symmetric, which is faster.
     """

@@ -5,20 +5,19 @@ Unknowns are scaled, u = (p - p_expected) / s; d is their change from the point.
 
     factor                       the triangular factor of [J r], from which all sums over rows follow
     posterior_information        the information of rows and priors, with T T^T = (J^T J + P^T P)^-1
-    span                         U = J T; leverages are sums of its squares
-    leave_out_blocks             the model with blocks of rows left out in turn (`calib.core.numerics.clusters`)
+    span                         U = J T; leverages are sums of its squares. By it, blocks of rows are left out in turn
+                                 (`calib.core.numerics.clusters`)
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.numerics.clusters import LeftOutBlocks
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.observability import Information, information
 from calib.core.numerics.prior import Prior
@@ -51,13 +50,14 @@ class LinearModel:
         residuals: r, (n_rows,).
         jacobian: J, by the scaled free parameters, (n_rows, n_free).
         deviations: u at this point, (n_free,).
+        layout: Groups of the rows, where noise is to be found.
     """
 
     residuals: FloatArray
     jacobian: FloatArray
     prior: Prior
     deviations: FloatArray
-    layout: RowGroups
+    layout: RowGroups = field(default_factory=lambda: RowGroups.from_groups(np.zeros(0, dtype=np.intp), 0))
 
     @cached_property
     def factor(self) -> FloatArray:
@@ -68,25 +68,24 @@ class LinearModel:
         """Store `factor` (n_free + 1, n_free + 1), where it is known already."""
         vars(self)["factor"] = factor
 
-    @property
-    def _triangle(self) -> FloatArray:
-        """Triangular factor of J, (n_free, n_free) or fewer rows."""
-        return self.factor[: self.jacobian.shape[1], :-1]
-
     @cached_property
     def posterior_information(self) -> Information:
         """Information of these rows and the priors."""
-        return information(self._triangle, self.prior.rows)
-
-    @cached_property
-    def data_information(self) -> Information:
-        """Information of these rows without priors."""
-        return information(self._triangle)
+        return information(self.factor[: self.jacobian.shape[1], :-1], self.prior.rows)
 
     @cached_property
     def span(self) -> Span:
         """U = J T of these rows, with T of `posterior_information`, (n_rows, rank)."""
         return Span(self.jacobian, self.posterior_information.root)
+
+    def times(self, column: FloatArray) -> FloatArray:
+        """Return J above the rows P of the prior, times a column (n_free,), (n_rows + n_priors,)."""
+        return np.concatenate([self.jacobian @ column, self.prior.times(column)])
+
+    def transposed_product(self, column: FloatArray) -> FloatArray:
+        """Return the transpose of J above P, times a column (n_rows + n_priors,), (n_free,)."""
+        n_rows = len(self.jacobian)
+        return np.asarray(self.jacobian.T @ column[:n_rows] + self.prior.rows.T @ column[n_rows:])
 
     def step(self, residuals: FloatArray | None = None) -> FloatArray:
         """Return the step d to the minimum, (n_free,), with other residuals (n_rows,) if given."""
@@ -108,7 +107,3 @@ class LinearModel:
         """Return the model of some rows: their places (k,), or a mask (n_rows,)."""
         groups = RowGroups.from_groups(self.layout.group[places], len(self.layout.counts))
         return LinearModel(self.residuals[places], self.jacobian[places], self.prior, self.deviations, groups)
-
-    def leave_out_blocks(self, block: IntArray) -> LeftOutBlocks:
-        """Return the model with blocks of rows (n_rows,) left out in turn."""
-        return LeftOutBlocks(self.span, block)

@@ -10,8 +10,6 @@ the next one corrects. Beyond, rotations are used.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +17,8 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import MANY_COLUMNS, extend_reduced, factor_products, reduce_rows
+from calib.core.numerics.identifiability import MANY_COLUMNS, extend_reduced, factor_products
+from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior import Prior
 
 ON_RADIUS = 0.1
@@ -30,71 +29,21 @@ _SINGULAR = 1e-14  # a direction is not seen by the rows if its relative size in
 _CLOSE = 1e-12  # relative difference of bounds between which a multiplier is found
 
 
-@dataclass(frozen=True, eq=False)
-class RowStack:
-    """Rows J of derivatives above the rows P of a prior, which are mostly unit rows.
-
-    Attributes:
-        rows: J, (n_rows, n).
-        prior: Prior of the unknowns.
-        factor: Function that returns the triangular factor of [J r], (n + 1, n + 1) or fewer rows, where it is known.
-    """
-
-    rows: FloatArray
-    prior: Prior
-    factor: Callable[[], FloatArray] | None = None
-
-    @staticmethod
-    def from_matrix(matrix: FloatArray | RowStack) -> RowStack:
-        """Return a matrix (m, n) as a stack without a prior; a stack stays itself."""
-        if isinstance(matrix, RowStack):
-            return matrix
-        return RowStack(matrix, Prior(np.zeros(matrix.shape[1], dtype=bool)))
-
-    @property
-    def whole(self) -> FloatArray:
-        """J above P, (m, n)."""
-        return np.vstack([self.rows, self.prior.rows]) if np.any(self.prior.has) else self.rows
-
-    def times(self, column: FloatArray) -> FloatArray:
-        """Return the product of the stack with a column (n,), (m,)."""
-        return np.concatenate([self.rows @ column, self.prior.times(column)])
-
-    def transposed_product(self, column: FloatArray) -> FloatArray:
-        """Return the product of the transposed stack with a column (m,), (n,)."""
-        n_rows = len(self.rows)
-        return np.asarray(self.rows.T @ column[:n_rows] + self.prior.rows.T @ column[n_rows:])
-
-    def reduced(self, right: FloatArray) -> FloatArray:
-        """Return the triangular factor of the stack and one more column (m,), (n + 1, n + 1) or fewer rows."""
-        if self.factor is None:
-            return reduce_rows(self.whole, right)
-        return extend_reduced(self.factor(), self.prior.rows, right[len(self.rows) :])
-
-    def gram(self, right: FloatArray) -> FloatArray:
-        """Return the products of all columns and one more (m,) with each other, (n + 1, n + 1)."""
-        n_rows, n = self.rows.shape
-        gram = np.zeros((n + 1, n + 1))
-        gram[:n, :n], gram[:n, n] = self.rows.T @ self.rows, self.rows.T @ right[:n_rows]
-        self.prior.add_to(gram[:n, :n])
-        gram[:n, n] += self.prior.rows.T @ right[n_rows:]
-        gram[n, :n], gram[n, n] = gram[:n, n], right @ right
-        return gram
-
-
 class LinearPoint:
     """A point, and the linear model at it.
 
     Args:
         x: The unknowns, (n,).
-        residuals: r(x), (m,).
-        jacobian: J(x), (m, n).
+        residuals: r(x), (m,), those of a prior last.
+        jacobian: J(x), (m, n), or the linear model at x, with a prior.
     """
 
-    def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray | RowStack) -> None:
-        self.x, self.residuals, self.given, self.jacobian = x, residuals, jacobian, RowStack.from_matrix(jacobian)
+    def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray | LinearModel) -> None:
+        self.x, self.residuals, self.given = x, residuals, jacobian
+        none = Prior(np.zeros(len(x), dtype=bool))
+        self.model = jacobian if isinstance(jacobian, LinearModel) else LinearModel(residuals, jacobian, none, x)
         self.cost = float(residuals @ residuals)
-        self.triangle, self.projected, self.unseen = _reduce(self.jacobian, residuals)
+        self.triangle, self.projected, self.unseen = _reduce(self.model, residuals)
 
     @cached_property
     def sees_all(self) -> bool:
@@ -119,8 +68,8 @@ class LinearPoint:
         if not past or not self.sees_all:
             return None
         points = [*past, self]
-        left = self.residuals + self.jacobian.times(self.newton)
-        pulls = np.stack([point.jacobian.transposed_product(left) for point in points], axis=1)
+        left = self.residuals + self.model.times(self.newton)
+        pulls = np.stack([point.model.transposed_product(left) for point in points], axis=1)
         steps = (self.triangle @ np.diff([point.x for point in points], axis=0).T)[:, ::-1]  # the last step first
         images = _solve_triangular(self.triangle, np.diff(pulls, axis=1), transposed=True)[:, ::-1]
         length = np.linalg.norm(steps, axis=0) + np.finfo(float).tiny
@@ -154,7 +103,7 @@ class LinearPoint:
         """Return the step c that removes a bend of the residuals (m,), |D c| <= limit, (n,); None if unknown."""
         if not self.sees_all:
             return None
-        right = _solve_triangular(self.triangle, self.jacobian.transposed_product(bend), transposed=True)
+        right = _solve_triangular(self.triangle, self.model.transposed_product(bend), transposed=True)
         step = -_solve_triangular(self.triangle, right)
         if np.linalg.norm(scale * step) <= limit:
             return np.asarray(step)
@@ -195,14 +144,13 @@ def _solve_triangular(triangle: FloatArray, right: FloatArray, *, transposed: bo
     return solution
 
 
-def _reduce(jacobian: RowStack, residuals: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+def _reduce(model: LinearModel, residuals: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return R, Q^T r, and the square of the part of r that no step removes, to first order."""
-    n = jacobian.rows.shape[1]
+    n = model.jacobian.shape[1]
     if n >= MANY_COLUMNS:
-        products = jacobian.gram(residuals)
-        triangle = factor_products(products[:n, :n])
+        triangle = factor_products(model.prior.add_to(model.jacobian.T @ model.jacobian))
         if triangle is not None:
-            projected = _solve_triangular(triangle, products[:n, n], transposed=True)
-            return triangle, projected, max(float(products[n, n] - projected @ projected), 0.0)
-    factor = jacobian.reduced(residuals)
+            projected = _solve_triangular(triangle, model.transposed_product(residuals), transposed=True)
+            return triangle, projected, max(float(residuals @ residuals - projected @ projected), 0.0)
+    factor = extend_reduced(model.factor, model.prior.rows, residuals[len(model.residuals) :])
     return factor[:n, :n], factor[:n, n], float(np.sum(factor[n:, n] ** 2))

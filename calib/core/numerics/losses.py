@@ -66,9 +66,8 @@ from calib.core.base.errors import InputError, nearest
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.clusters import blocks_of_equal_length
-from calib.core.numerics.statistics import Factors
+from calib.core.numerics.statistics import Factors, require_freedom
 from calib.core.numerics.tall import Span
-from calib.core.numerics.variance_components import require_freedom
 
 Loss = Literal["none", "huber", "cauchy", "tukey"]
 LOSSES: tuple[Loss, ...] = get_args(Loss)
@@ -147,13 +146,7 @@ def efficiency(loss: Loss, c: float, k: int) -> float:
 
 
 def scale_of(distances: FloatArray, widths: IntArray, n_effective: float) -> float:
-    """Return the scale of whitened residual lengths (n_readings,): a median, so that outliers hardly move it.
-
-    Args:
-        distances: Lengths.
-        widths: Number of rows of each reading.
-        n_effective: Effective parameters.
-    """
+    """Return the scale of whitened residual lengths (n_readings,): a median, so that outliers hardly move it."""
     n_rows = int(np.sum(widths))
     require_freedom(n_rows - n_effective, n_rows)
     return float(np.median(distances / median_length(widths))) * float(np.sqrt(n_rows / (n_rows - n_effective)))
@@ -163,11 +156,9 @@ def robust_factors(loss: Loss, distances: FloatArray, widths: IntArray, scale: f
     """Return the factor on the assumed noise that the residuals show, the same for all rows.
 
     Args:
-        loss: The loss of the weights.
         distances: Lengths of whitened residuals, (n_readings,).
         widths: Number of rows of each reading, (n_readings,).
         scale: Divisor of the lengths in the weights.
-        n_effective: Effective parameters.
 
     Raises:
         NotIdentifiableError: The loss leaves no degrees of freedom.
@@ -225,7 +216,6 @@ class StudentisedErrors(ReadOnlyArrays):
         leverage: Mean over the rows, (n_readings,).
         largest_leverage: Leverage along the worst direction, (n_readings,).
         chance: Chance of a residual at least this large if only this reading were tested, (n_readings,).
-        scale: Scale of T.
     """
 
     ratio: FloatArray
@@ -264,7 +254,6 @@ def studentised(
         widths: Number of rows that were read, (n_readings,).
         weights: w of the module docstring, (n_readings,).
         freedom: Degrees of freedom of the fit.
-        scale: Scale of T, if it is known from other readings.
     """
     size, leverages, largest = np.empty((3, len(widths)))
     for rows in blocks_of_equal_length(reading):
@@ -281,10 +270,5 @@ def studentised(
     scale = float(np.median(size / median_length(widths))) if scale is None else scale
     scale = max(scale, _NO_NOISE)
     ratio = size / scale
-    chance = _chance(ratio, widths, freedom)
+    chance = np.asarray(scipy.special.fdtrc(widths, max(freedom / 2.0, 1.0), ratio**2 / widths))
     return StudentisedErrors(ratio, leverages, largest, chance, scale)
-
-
-def _chance(ratio: FloatArray, widths: IntArray, freedom: FloatArray | float) -> FloatArray:
-    """Chance of readings this far off, (..., n_readings)."""
-    return np.asarray(scipy.special.fdtrc(widths, np.maximum(freedom / 2.0, 1.0), ratio**2 / widths))

@@ -61,7 +61,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.numerics import linalg
-from calib.core.numerics.clusters import LeftOutBlocks, blocks_of_equal_length
+from calib.core.numerics.clusters import blocks_of_equal_length, shifts_without_block
 from calib.core.numerics.identifiability import inverse_of_triangle, square_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows, coefficients_of
 
@@ -75,7 +75,6 @@ class MixedModel(ReadOnlyArrays):
     """The model with its rows rotated and its columns replaced by components.
 
     Attributes:
-        rows: The rows before rotation.
         parts: Groups of columns and their components, in their order.
         x: Columns of all parts, rows rotated, (n_rows, n).
         y: Values, rotated, (n_rows,).
@@ -103,7 +102,7 @@ class MixedModel(ReadOnlyArrays):
         )
         x = np.concatenate([rows.columns[:, part.members] @ part.kept for part in parts], axis=1)
         y, spread = rows.values.copy(), np.zeros(len(x))
-        for places, turn, spread_there in _rotate_rows(rows):
+        for places, turn, spread_there in _rotate_rows(rows) if rows.levers.shape[1] else ():
             back, spread[places] = turn.transpose(0, 2, 1), spread_there
             x[places], y[places] = np.matmul(back, x[places]), np.matmul(back, y[places, None])[:, :, 0]
         family = np.concatenate([np.full(part.kept.shape[1], part.family) for part in parts])
@@ -121,7 +120,6 @@ class MixedModel(ReadOnlyArrays):
 
     @cached_property
     def _lengths(self) -> FloatArray:
-        """Lengths of the columns, (n,)."""
         return np.linalg.norm(self.x, axis=0)
 
     @cached_property
@@ -180,7 +178,7 @@ def _rotate_rows(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatA
         for pattern in np.unique(groups, axis=0):
             places = every[np.all(groups == pattern, axis=1)]
             turn, spread = np.tile(np.eye(len(pattern)), (len(places), 1, 1)), np.zeros(places.shape)
-            for g in np.unique(pattern) if rows.levers.shape[1] else ():
+            for g in np.unique(pattern):
                 own = np.flatnonzero(pattern == g)
                 levers = rows.levers[places[:, own]]
                 values, turn[:, own[:, None], own] = linalg.eigh(np.matmul(levers, levers.transpose(0, 2, 1)))
@@ -220,7 +218,6 @@ class SolvedModel(ReadOnlyArrays):
 
     @cached_property
     def _root(self) -> FloatArray:
-        """R^-1, (n_seen, n_seen)."""
         return inverse_of_triangle(self.upper)
 
     @cached_property
@@ -292,13 +289,18 @@ class SolvedModel(ReadOnlyArrays):
     @property
     def scatter_of_residuals(self) -> float:
         """Scatter that alone makes rows as large as the residuals are, in the group where it is least."""
-        group, freedom = self.model.rows.group, self.model.rows.stands_for - self._leverage
-        squares, left, spread = (
-            np.bincount(group, own) for own in (self.variance * self.whitened_residuals**2, freedom, self.model.spread)
-        )
+        group, (squares, left) = self.model.rows.group, self.squares_and_freedom
+        spread, counts = (np.bincount(group, of, len(left)) for of in (self.model.spread, np.ones(len(group))))
         moved = spread > 0.0
-        times = np.bincount(group)[moved] / np.maximum(left[moved], 0.5)
+        times = counts[moved] / np.maximum(left[moved], 0.5)
         return float(np.sqrt(np.min(times * squares[moved] / spread[moved], initial=np.inf)))
+
+    @property
+    def squares_and_freedom(self) -> tuple[FloatArray, FloatArray]:
+        """Squared residuals of each group of rows, and their degrees of freedom, (n_groups,) each."""
+        rows, n = self.model.rows, len(self.model.rows.has_stated_noise)
+        squares, freedom = self.variance * self.whitened_residuals**2, rows.stands_for - self._leverage
+        return np.bincount(rows.group, squares, n) * 1.0, np.bincount(rows.group, freedom, n) * 1.0
 
     def freedom(self, families: IntArray) -> float:
         """Return how many coefficients of some families (k,) the rows decide."""
@@ -333,6 +335,6 @@ class SolvedModel(ReadOnlyArrays):
             weight: Weight of each group of rows, (n_groups,).
         """
         left = self.whitened_residuals
-        shifts, _ = LeftOutBlocks(self._spread, block).shifts_without_block(left, alone=1.0 - _DECIDES)
+        shifts, _ = shifts_without_block(self._spread, block, left, alone=1.0 - _DECIDES)
         squares = weight[self.model.rows.group] * self.variance * (left + shifts) ** 2
         return np.asarray(np.bincount(block, squares))

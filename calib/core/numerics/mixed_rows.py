@@ -139,7 +139,6 @@ class SeenColumns(ReadOnlyArrays):
 
         Args:
             rows: (n_rows, n).
-            prior: Prior of the columns.
             family: Family of each column, -1 for none, (n,).
             least: Length of the shortest component; a ten-thousandth of the longest of its family if not given.
         """

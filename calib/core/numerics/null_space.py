@@ -105,7 +105,6 @@ def natural_coefficients(group: UnseenGroup, parameters: Sequence[Parameter]) ->
 
 
 def _null_space(scaled_jacobian: FloatArray) -> FloatArray:
-    """Orthonormal basis, (n_columns, nullity)."""
     factor = reduce_rows(scaled_jacobian)
     _, values, directions = linalg.svd(factor)
     return directions[rank_of(values, factor.shape[1]).rank :].T
@@ -156,8 +155,6 @@ def shortest_basis(basis: FloatArray, avoided: BoolArray) -> FloatArray:
 
 
 def _extend(chosen: list[FloatArray], candidates: list[FloatArray], avoided: BoolArray, dimension: int) -> None:
-    """Take the shortest candidates that are independent of the chosen ones."""
-
     def length(vector: FloatArray) -> tuple[int, int, tuple[int, ...]]:
         support = np.flatnonzero(vector)
         return len(support), int(np.sum(avoided[support])), tuple(int(entry) for entry in support)
@@ -171,7 +168,6 @@ def _extend(chosen: list[FloatArray], candidates: list[FloatArray], avoided: Boo
 
 
 def _elementary_vectors(complement: FloatArray, size: int) -> Iterator[FloatArray]:
-    """All elementary vectors with `size` entries."""
     n, rank = complement.shape
     supports = combinations(range(n), size)
     while batch := list(islice(supports, _BATCH)):

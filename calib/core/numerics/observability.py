@@ -72,7 +72,6 @@ def observability(singular_values: FloatArray, n_poses: int) -> dict[str, float]
 
     Args:
         singular_values: All singular values of the Jacobian, as many as it has columns, largest first, (n,).
-        n_poses: Number of poses m.
     """
     s = np.asarray(singular_values, dtype=float)
     if s[-1] <= 0:
@@ -91,7 +90,6 @@ def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter], *, length
 
     Args:
         jacobian: d(positions)/d(parameters), (..., n_parameters) [m per m or rad].
-        parameters: The parameters of its columns.
         lengths: Whether rows are lengths [m]; rows divided by their noise have no unit, and are not converted.
     """
     per_unit = np.array([1.0 / parameter.per_si for parameter in parameters])
@@ -107,7 +105,6 @@ def observability_of(
 
     Args:
         rows: Scaled Jacobian, (..., n_parameters) [m]; leading axes are flattened.
-        parameters: The parameters of its columns.
         n_poses: Number of poses behind the rows.
         lengths: Whether rows are lengths; rows divided by their noise give indices without unit.
     """
@@ -152,7 +149,6 @@ class Information(ReadOnlyArrays):
 
     @cached_property
     def _decomposition(self) -> tuple[Rank, FloatArray]:
-        """The rank, and V^T of all directions, (n_parameters, n_parameters)."""
         _, values, directions = linalg.svd(self.factor)
         return rank_of(values, self.factor.shape[1]), directions
 

@@ -72,7 +72,6 @@ class Placement:
     """Pose of the measurement frame, and positions of the points.
 
     Attributes:
-        T_base_measurement: Pose of the measurement frame in the base link.
         points: Position of each point in its link, (n_points, 3) [m].
         rms: Root mean square distance between measured and computed points [m].
     """
@@ -149,7 +148,6 @@ class _System:
         mean: Part of all rows that X's translation absorbs, (3, n_free + 10), already subtracted.
         free: Whether each coordinate of the points is unknown, (n_points, 3).
         sigma: Standard deviations of the unknown coordinates, (n_free,) [m].
-        weight: Root of the number of readings.
         extent: Root mean square distance of the measured points from their centre [m].
     """
 

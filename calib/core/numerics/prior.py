@@ -37,12 +37,10 @@ class Prior(ReadOnlyArrays):
 
     @cached_property
     def _own_prior_parameters(self) -> IntArray:
-        """Parameters that have a prior of their own."""
         return np.setdiff1d(np.flatnonzero(self.has), self.together)
 
     @cached_property
     def _whitening(self) -> FloatArray:
-        """L^-1 of the module docstring."""
         lower = np.linalg.cholesky(self.correlations)
         return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True))
 
@@ -55,7 +53,6 @@ class Prior(ReadOnlyArrays):
 
     @cached_property
     def _precision(self) -> FloatArray:
-        """R^-1 of the module docstring."""
         return np.asarray(self._whitening.T @ self._whitening)
 
     def times(self, matrix: FloatArray) -> FloatArray:

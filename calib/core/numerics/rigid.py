@@ -68,7 +68,6 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
     """Return the position (3,) [m] of a point at these lengths (n,) [m] from points (n, 3) [m].
 
     Args:
-        points, lengths: The known points, and the distances from them.
         near: A place near it, (3,) [m]: it decides between mirror images, and in directions without distances.
     """
     middle = points.mean(axis=0)

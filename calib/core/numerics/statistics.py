@@ -19,7 +19,7 @@ groups of rows (instruments, or position and orientation), each with its own fac
 
 Where the readings of a pose share errors, or some poses scatter more than others, beyond chance, the sum between T and
 its transpose is replaced by the scatter of the poses themselves (`calib.core.numerics.clusters`).
-`calib.core.numerics.prior_sizes` adds to C where the size of some priors was found from the same data.
+`calib.core.numerics.size_search` adds to C where the size of some priors was found from the same data.
 `calib.core.fitting.robust` gives f and its counterpart in C with a robust loss.
 `calib.core.fitting.curvature` adds to the variance in intervals if only a prior holds a direction in the linear model,
 but readings see it beyond that. The addition is no part of C, nor of std. It takes longer than all the rest, and is
@@ -48,13 +48,13 @@ import scipy
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, hold
+from calib.core.base.errors import NotIdentifiableError
 from calib.core.base.threads import one_blas_thread
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import Scatter
 from calib.core.numerics.observability import Information
 from calib.core.numerics.prior import Prior
 from calib.core.numerics.tall import Span, slices, squares_of_rows
-from calib.core.numerics.variance_components import require_freedom
 
 DECIDED_BY_DATA = 0.9
 """`identified`: the data remove at least this share of a parameter's expected variance; `prior`: at most 1 - this."""
@@ -240,6 +240,15 @@ def effective_parameters(known: Information, prior: Prior) -> float:
     return float(known.root.shape[1] - np.trace(prior_shares(known, prior)))
 
 
+def require_freedom(freedom: float, n_rows: int) -> None:
+    """Raise `NotIdentifiableError` unless n_rows measured values leave at least one degree of freedom."""
+    if freedom < 1 - 1e-9:
+        raise NotIdentifiableError(
+            f"{n_rows} measured values for {n_rows - max(freedom, 0.0):.0f} parameters: too few to find the"
+            " uncertainty of the result. Measure more poses"
+        )
+
+
 def find_factors(
     residuals: FloatArray,
     span: FloatArray | Span,
@@ -253,7 +262,6 @@ def find_factors(
         residuals: Whitened, (n_rows,).
         span: J T of the whitened rows, with T of rows and priors, (n_rows, rank).
         groups: Group of each row, (n_rows,); -1 for rows that were not read.
-        n_groups: Number of groups.
         confirmed: Degrees of freedom with which the assumed noise was confirmed before, (n_groups,); they count like
             readings whose residuals are as large as assumed.
 
@@ -289,7 +297,6 @@ def statistics(
         known: Information of these rows (times the root of `factors.slope`) and of the priors.
         factors: Factors on the noise, from the residuals.
         scales: s of the module docstring, (n_free,) [m, rad].
-        prior: Prior of the parameters.
         poses, beyond_linear: Attributes of the result.
         by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
     """

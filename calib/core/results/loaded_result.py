@@ -31,9 +31,9 @@ from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
+from calib.core.rows.frames import ReportedUncertainty
 from calib.core.rows.known_robot import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty
-from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 _DIGITS = 9  # decimals to which joint values and readings of two files are compared [SI]
 
@@ -56,9 +56,7 @@ class LoadedResult(HintedObject, CalibratedRobot):
     """A saved fit.
 
     Attributes:
-        path: Its folder.
         nominal: The robot as described to the fit.
-        robot: The calibrated robot.
         content: Content of its `result.json`, in mm and degrees, as the fit wrote it.
         saved: The saved fit of the folder (`calib.core.results.saved_fit`).
     """
@@ -189,7 +187,6 @@ class LoadedResult(HintedObject, CalibratedRobot):
         return robot, self._uncertainty_of(robot)
 
     def _uncertainty_of(self, robot: Robot) -> ParameterUncertainty:
-        """Uncertainty of the parameters of a fit that ended at a robot's values."""
         if np.array_equal(robot.values, self.robot.values):
             return self.uncertainty
         for entry in self.saved["fit"]["reduced"].values():

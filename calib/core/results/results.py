@@ -115,7 +115,6 @@ def _with_meshes(urdf: UrdfText) -> bytes:
 
 
 def _failure_comment(verdict: Verdict, how: str) -> list[str]:
-    """Comment lines of a file with the numbers of a failed fit."""
     return [f"verdict: FAIL, {how}:", *(f"  {reason.text}" for reason in verdict.reasons if reason.grade == "FAIL")]
 
 
@@ -150,7 +149,6 @@ def _residual_table(fit: Fit) -> bytes:
 def _residual_columns(
     fit: Fit, label: str, error_set: ErrorSet, rows: Rows, name: str
 ) -> dict[str, Sequence[object] | FloatArray]:
-    """A column of cells for each header, for the readings of one instrument in a set."""
     used = label == "identification"
     studentised = findings.studentise_errors(fit)
     layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.values**2))) if used else 1.0
@@ -189,7 +187,6 @@ def _residual_columns(
 
 
 def _parameter_table(fit: Fit, comments: Sequence[str]) -> str:
-    """Return CSV: a row for each parameter in its display unit, after comments; also a parameter file."""
     rows = fit.parameters.rows()
     columns = [("parameter" if key == "name" else key, [row[key] for row in rows]) for key in _PARAMETER_COLUMNS]
     return format_table(columns, comments)

@@ -72,7 +72,8 @@ def saved_bytes(
             "program": PROGRAM,
             "content": content,
             "sha256": {name: hashlib.sha256(file).hexdigest() for name, file in nominal.items()},
-            "fit": _fit_entry(fit) | {"joint_error": fit.joint_error, "undecided": shown},
+            "fit": _fit_entry(fit)
+            | {"joint_error": fit.joint_error, "reading_noise": fit.reading_noise, "undecided": shown},
             "files": {
                 holds.name: {**vars(robot), "accuracy": asdict(robot.accuracy) | {"poses": robot.accuracy.poses.name}}
                 for holds, robot in files.items()
@@ -173,8 +174,8 @@ def evaluate_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFi
         fit = JudgedFit.from_fit(_fit_of(robot, entry))
     except (CalibrationError, ValueError, KeyError, TypeError) as error:
         raise ComputationError(f"{where}: this version cannot evaluate the fit ({error}); run the fit again") from None
-    if "joint_error" in entry:
-        vars(fit)["unexplained"] = UnexplainedErrors(entry["joint_error"], _undecided_of(entry))
+    if "reading_noise" in entry:  # else found at first use
+        vars(fit)["unexplained"] = UnexplainedErrors(entry["reading_noise"], entry["joint_error"], _undecided_of(entry))
     return fit
 
 

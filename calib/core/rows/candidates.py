@@ -72,7 +72,6 @@ def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     `WHITENED`.
 
     Args:
-        robot: Robot whose instruments may state their noise.
         sigma: The noise of positions, if the caller knows it [m].
 
     Raises:
@@ -106,7 +105,6 @@ def rows_of_poses(
     Unstated noise is assumed (`calib.core.rows.whitening.ASSUMED`).
 
     Args:
-        configurations: The poses.
         sigma: Noise of positions per axis instead of the stated one [m], or None.
         unknowns: The parameters of the columns; the free ones if not given.
         looks: Planned readings of each instrument, from `calib.core.rows.observed.planned_readings`; all that it can in
@@ -206,7 +204,6 @@ def build_candidates(
     """Assemble candidates and compute their rows, the robot linearised at its present values.
 
     Args:
-        poses: The candidates.
         sigma: Noise of positions per axis instead of the stated one [m], or None.
         skip_unreachable: Leave out poses that cannot be assembled or are next to a singularity of the loops.
 

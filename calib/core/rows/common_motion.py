@@ -103,7 +103,6 @@ class CommonMotion(ReadOnlyArrays):
 
     Attributes:
         robot: The robot, with base and tools moved.
-        loose: The places that were moved.
         joints: The poses, (n, n_actuated) [m or rad].
         centre: c, (3,) [m].
         basis: V, (n_motions, k); no columns where nothing was moved.
@@ -175,12 +174,10 @@ class CommonMotion(ReadOnlyArrays):
         return np.asarray(linalg.lstsq(self._fitted_rows(columns), self._fitted_rows(changes), rcond=None))
 
     def _fitted_rows(self, columns: FloatArray) -> FloatArray:
-        """Rows that are to agree, (n_rows, k), from columns (n, n_targets, 6, k)."""
         parts = [columns[:, self.loose.counts, :3], self.robot.mechanism.length * columns[:, self.loose.frames, 3:]]
         return np.concatenate([part.reshape(-1, columns.shape[3]) for part in parts])
 
     def _move_robot(self, motion: FloatArray) -> Robot:
-        """The robot with base and tools moved by m (n_motions,)."""
         mechanism, loose, length = self.robot.mechanism, self.loose, self.robot.mechanism.length
         moves = dict.fromkeys(self._origins(), pin.SE3.Identity())
         if loose.base:
@@ -200,7 +197,6 @@ class CommonMotion(ReadOnlyArrays):
         return {t: slice(first + 3 * k, first + 3 * k + 3) for k, t in enumerate(targets)}
 
     def _origins(self) -> list[str]:
-        """Origins that move."""
         tools = [self._tool(t) for t in sorted({*self.loose.points, *self.loose.frames})]
         return [*([self._base] if self.loose.base else []), *tools]
 

@@ -18,13 +18,32 @@ the measurement frame, all parameters count. For a program in the measurement fr
 For a program in the robot's own base frame, the common motion that follows d is subtracted. The stated covariance is
 that of J' d. It counts the noise of the measurements and the priors of undetermined combinations, as far as a position
 in this frame depends on them.
+
+The frame of a report. If an instrument stands at a known place, this is the measurement frame. Otherwise readings may
+hardly determine the places of base and instruments. Distances from unknown points, for example, leave the place of the
+base to its priors, with an uncertainty of millimetres, although no motion of the robot is that uncertain. Then
+positions are reported in the robot's own base frame, placed where predicted and true positions agree best over the
+measured poses. The place of the target on its link counts in either frame.
+
+The gauge. If the base is unknown, the origin of the first joint and the base can move together without changing a
+measurement; so can the last origin and an unknown target. A fit moves whatever the priors let move most cheaply, so
+that a reflector 2 mm off its stated place leaves some hundredths of a millimetre in the last joint's origin. A
+correction of the robot must not include that.
+Let r be the change of the readings at many poses, J their derivative by the scaled parameters u = (p - p_nominal) / s,
+N the combinations of u that no reading sees (J N = 0), and D the selection of the parameters of the robot itself. The
+values along N are free, and chosen as
+
+    u' = u - J^+ r + N z,      z minimises |D (u - J^+ r + N z)|^2
+
+repeatedly until u' no longer changes. The robot is then as near its nominal one as the measurements allow, base and
+targets take the rest, and no reading has changed (N alone would ensure that in the first order only).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property, partial
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -32,15 +51,87 @@ from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.contributions import Contribution, Contributions
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.words import count_noun
+from calib.core.numerics import linalg
+from calib.core.numerics.identifiability import RANK_TOLERANCE, reduce_rows
 from calib.core.robots.jacobian import linearise
+from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.core.rows.common_motion import CommonMotion, UnknownPlaces, target_poses
-from calib.core.rows.gauge import nearest_to_nominal, poses_around_home
 from calib.core.rows.known_robot import KnownRobot
+from calib.core.rows.observed import Observed, observe, predict_readings
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UncertaintyJacobian
 
+OWN_FRAME = "in the robot's own base frame, because no instrument stands at a known place"
+"""Name of the frame of the report if it is not the measurement frame."""
 _MOST = 400  # poses over which robots are aligned
+_POSES_AROUND, _ROUNDS = 256, 10
+_CONVERGED = 1e-6  # largest change of a scaled parameter at the end; the next one is about its square
+_AROUND_HOME = 0.5  # motion is analytic: these poses show all that any poses show [rad, or characteristic lengths]
+
+
+@dataclass(frozen=True, eq=False)
+class ReportedUncertainty(ReadOnlyArrays):
+    """A calibrated robot and its uncertainty in a frame.
+
+    Attributes:
+        motion: The common motion that does not count; None where all counts, in the measurement frame.
+        counts: Mask of the free parameters that move positions in this frame, (n_free,); all if not given.
+    """
+
+    robot: Robot
+    uncertainty: ParameterUncertainty
+    motion: CommonMotion | None
+    counts: BoolArray | None = None
+
+    @staticmethod
+    @one_blas_thread
+    def from_robot(robot: Robot, uncertainty: ParameterUncertainty, joints: FloatArray) -> ReportedUncertainty:
+        """Return the reported uncertainty of a robot calibrated at commands `joints`, (n, n_actuated) [m or rad]."""
+        loose = replace(UnknownPlaces.from_robot(robot), points=(), frames=())
+        if not loose.base:
+            return ReportedUncertainty(robot, uncertainty, None)
+        motion = CommonMotion.from_robots(robot, robot, loose, _poses_of_agreement(robot, robot, joints))
+        return ReportedUncertainty(robot, uncertainty, motion if motion.basis.size else None)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A sentence on the frame of the report, if it is not the measurement frame."""
+        return () if self.motion is None else (f"the uncertainty of predicted positions is given {OWN_FRAME}",)
+
+    def predict(
+        self, q: FloatArray, context: Context | None = None, near: FloatArray | None = None, *, turns: bool = True
+    ) -> PositionUncertainty:
+        """Predict positions in the measurement frame, with their covariance in this frame.
+
+        Args:
+            q: Commands, (n_poses, n_actuated) [m or rad].
+            context: Conditions of the commands; joint terms may depend on them.
+            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+            turns: Whether to compute the covariance of the orientations as well.
+
+        Raises:
+            UnreachablePoseError: A loop stays open.
+        """
+        counts = None if self.counts is None else self.uncertainty.counting(self.robot, self.counts)
+        common = None if self.motion is None else self._common
+        known = self.uncertainty.predict(self.robot, q, context, near, turns=turns, counts=counts, common=common)
+        if common is None:
+            return known
+        return replace(known, frame=OWN_FRAME, contains=known.contains | {Contribution.FRAME})
+
+    @cached_property
+    def _following(self) -> FloatArray:
+        """Derivative of the common motion z by the uncertain quantities, (k, n_uncertain)."""
+        assert self.motion is not None
+        joints = self.motion.joints
+        linear = self.uncertainty.linearise(self.robot, joints, Context.neutral(*joints.shape))
+        return self.motion.following(linear.jacobian) * self.uncertainty.lasting(self.robot)
+
+    def _common(self, linear: UncertaintyJacobian) -> FloatArray:
+        """Derivative of the common motion of each target, (n, n_targets, 6, n_uncertain)."""
+        assert self.motion is not None
+        return self.motion.columns(*target_poses(linear.robot, linear.configurations)) @ self._following
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +142,6 @@ class CorrectionFrame(ReadOnlyArrays):
         known: The calibrated robot with its uncertainty.
         robot: The calibrated robot; its own parameters are as near to nominal as readings allow.
         meant: The nominal robot, with its base and tools placed in this frame.
-        nominal: The robot of the description.
         words: Name of the frame in a sentence.
         counts: Mask of the free parameters that move positions in this frame, (n_free,).
         motion: The common motion that does not count; None where all counts.
@@ -83,33 +173,26 @@ class CorrectionFrame(ReadOnlyArrays):
 
         Args:
             q: Commands, (n, n_actuated) [m or rad].
-            context: Conditions of the commands.
 
         Raises:
             UnreachablePoseError: A loop stays open.
         """
-        uncertainty = self.known.uncertainty
-        if uncertainty is None:
-            positions = target_poses(self.robot, self.robot.assemble(q, context=context))[0]
-            unknown = np.full((*positions.shape, 3), np.nan)
-            return PositionUncertainty(positions, unknown, np.nan, unknown, self.robot.unreported_targets)
-        counts = uncertainty.counting(self.robot, self.counts)
-        predicted = uncertainty.predict(self.robot, q, context, counts=counts, common=self._common)
-        return PositionUncertainty(
-            predicted.positions,
-            predicted.covariance,
-            predicted.coverage_factor,
-            predicted.turn_covariance,
-            self.robot.unreported_targets,
-            contains=self.contains,
-        )
+        if self._reported is not None:
+            return self._reported.predict(q, context)
+        positions = target_poses(self.robot, self.robot.assemble(q, context=context))[0]
+        unknown = np.full((*positions.shape, 3), np.nan)
+        return PositionUncertainty(positions, unknown, np.nan, unknown, self.robot.unreported_targets)
+
+    @cached_property
+    def _reported(self) -> ReportedUncertainty | None:
+        known = self.known.uncertainty
+        return None if known is None else ReportedUncertainty(self.robot, known, self.motion, self.counts)
 
     def uncorrected_errors(self, q: FloatArray, context: Context) -> FloatArray:
         """Return the errors of positions [m] and turns [rad] that the fit found but that are not corrected.
 
         Args:
             q: Commands, (n, n_actuated) [m or rad].
-            context: Conditions of the commands.
 
         Returns:
             In the axes of the frame, (n, n_targets, 6).
@@ -122,30 +205,6 @@ class CorrectionFrame(ReadOnlyArrays):
             return np.zeros(shape)
         linear = linearise(self.robot, self.robot.assemble(q, context=context), turns=True)
         return np.asarray(linear.jacobian[..., uncertainty.free][..., self.counts] @ left)
-
-    @cached_property
-    def _common(self) -> Callable[[UncertaintyJacobian], FloatArray] | None:
-        """The common motion that follows errors of uncertain parameters; None where all counts."""
-        if self.motion is None or self.known.uncertainty is None:
-            return None
-        return following_motion(self.motion, self.robot, self.known.uncertainty)
-
-
-def following_motion(
-    motion: CommonMotion, robot: Robot, uncertainty: ParameterUncertainty
-) -> Callable[[UncertaintyJacobian], FloatArray]:
-    """Return a function that gives the derivative of the common motion by the uncertain parameters.
-
-    The derivative is that of each target's motion, (n, n_targets, 6, n_uncertain).
-    """
-    linear = uncertainty.linearise(robot, motion.joints, Context.neutral(*motion.joints.shape))
-    following = motion.following(linear.jacobian) * uncertainty.lasting(robot)
-    return partial(_common, motion, following)
-
-
-def _common(motion: CommonMotion, following: FloatArray, linear: UncertaintyJacobian) -> FloatArray:
-    """Derivative of the common motion by the uncertain quantities, (n, n_targets, 6, n_uncertain)."""
-    return motion.columns(*target_poses(linear.robot, linear.configurations)) @ following
 
 
 def as_described(robot: Robot) -> Robot:
@@ -193,19 +252,71 @@ def measurement_frame(known: KnownRobot) -> CorrectionFrame:
 
 
 def _is_of_robot(known: KnownRobot) -> BoolArray:
-    """Mask of the free parameters of the robot itself, without placements, (n_free,)."""
     of_robot = np.array([not parameter.placement for parameter in known.robot.parameters])
     return of_robot[:0] if known.uncertainty is None else of_robot[known.uncertainty.free]
 
 
 def _align_nominal(nominal: Robot, robot: Robot, loose: UnknownPlaces, known: KnownRobot) -> CommonMotion:
-    """The nominal robot aligned with the calibrated one over the measured poses."""
-    return CommonMotion.from_robots(nominal, robot, loose, poses_of_agreement(known, nominal))
+    return CommonMotion.from_robots(nominal, robot, loose, _poses_of_agreement(nominal, known.robot, known.joints))
 
 
-def poses_of_agreement(known: KnownRobot, nominal: Robot) -> FloatArray:
-    """Return the poses over which the nominal and the calibrated robot are aligned, (n, n_actuated) [m or rad]."""
-    measured = np.unique(known.joints, axis=0)
-    chosen = measured[np.unique(np.linspace(0, len(measured) - 1, _MOST).astype(np.intp))] if len(measured) else None
-    joints = poses_around_home(nominal) if chosen is None else chosen
-    return np.asarray(joints[nominal.close(joints).ok & known.robot.close(joints).ok])
+def _poses_of_agreement(nominal: Robot, robot: Robot, joints: FloatArray) -> FloatArray:
+    """Some of the measured poses `joints` that both robots can assemble, else poses around home, (n, n_actuated)."""
+    measured = np.unique(joints, axis=0)
+    some = measured[np.unique(np.linspace(0, len(measured) - 1, _MOST).astype(np.intp))] if len(measured) else None
+    chosen = poses_around_home(nominal) if some is None else some
+    return np.asarray(chosen[nominal.close(chosen).ok & robot.close(chosen).ok])
+
+
+@one_blas_thread
+def nearest_to_nominal(robot: Robot) -> Robot:
+    """Return a robot with the same readings, its own parameters as near to nominal as these allow.
+
+    A calibrated robot whose base and targets are known comes back unchanged.
+    """
+    parameters = robot.parameters[: robot.n_origin_parameters]
+    free = np.flatnonzero(robot.is_free[: len(parameters)])
+    of_robot = np.array([not parameters[k].placement for k in free], dtype=bool)
+    if np.all(of_robot):
+        return robot
+    sigma = robot.parameters.sigma_si[free]
+    expected = robot.parameters.expected_si[free]
+    q = poses_around_home(robot)
+    predicted = predict_readings(robot, robot.assemble(q))  # NaN outside of an image; set to 0 below
+    readings = {name: replace(reading, values=np.nan_to_num(reading.values)) for name, reading in predicted.items()}
+    before, _ = _stack(observe(robot, robot.assemble(q), readings))
+    for _ in range(_ROUNDS):
+        now, jacobian = _stack(observe(robot, robot.assemble(q), readings))
+        changed = now - before
+        seen, unseen = _split_space(jacobian[:, free] * sigma)
+        back = -seen @ linalg.lstsq(jacobian[:, free] * sigma @ seen, changed, rcond=None)
+        start = (robot.values[free] - expected) / sigma + back
+        step = back - unseen @ linalg.lstsq(unseen[of_robot], start[of_robot], rcond=RANK_TOLERANCE)
+        values = robot.values.copy()
+        values[free] += sigma * step
+        robot = robot.with_parameters(values)
+        if np.max(np.abs(step), initial=0.0) < _CONVERGED:
+            break
+    return robot
+
+
+def _split_space(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Combinations of the columns that have an effect, and those that vanish, orthonormal, (n_columns, n) each."""
+    _, singular, right = linalg.svd(reduce_rows(scaled), full_matrices=True)
+    rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
+    return right[:rank].T, right[rank:].T
+
+
+def poses_around_home(robot: Robot) -> FloatArray:
+    """Return joint values of reachable poses around home, (n, n_actuated) [m or rad]."""
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    spread = joint_samples(robot.mode, _POSES_AROUND)[:, : len(robot.home)] - 0.5
+    q = np.clip(robot.home + 2 * _AROUND_HOME * robot.mechanism.joint_scale * spread, lower, upper)
+    return np.asarray(q[robot.close(q).ok])
+
+
+def _stack(observed: Mapping[str, Observed]) -> tuple[FloatArray, FloatArray]:
+    """Residuals (n_rows,) and Jacobian (n_rows, n_parameters) of all instruments [SI]; 0 where not read."""
+    residuals = np.concatenate([block.residuals.ravel() for block in observed.values()])
+    jacobian = np.concatenate([block.jacobian.reshape(-1, block.jacobian.shape[2]) for block in observed.values()])
+    return np.nan_to_num(residuals), np.nan_to_num(jacobian)

@@ -18,7 +18,6 @@ class KnownRobot(ReadOnlyArrays):
     """A calibrated robot.
 
     Attributes:
-        robot: The robot with the calibrated values.
         uncertainty: Uncertainty of its parameters; None where not stated.
         joints: Joint values of the visits in the fit, (n, n_actuated) [m or rad].
         nothing_to_correct: Whether the verdict finds the nominal values as good as any.

@@ -76,11 +76,8 @@ def observe(
     """Compare readings with those that the robot predicts.
 
     Args:
-        robot: The robot, at its current values.
-        configurations: Its assembled visits.
         readings: Readings of each instrument, by name; visits are indices into the configurations.
         joints: Whether to include derivatives by the actuated joints.
-        derivatives: Whether to compute derivatives.
         index: Parameters (k,) of the derivatives, if not all; those by others are left 0.
     """
     mechanism = robot.mechanism
@@ -125,7 +122,6 @@ class _Work:
         self._fill_pairs(self._readings_of_pairs(index), part, swept, twists)
 
     def _readings_of_pairs(self, index: IntArray) -> dict[int, IntArray | slice]:
-        """Readings (n,) of each pair of frames."""
         if len(self._numbers) == 1:
             return {self._numbers[0]: as_slice(index)}
         number = self.readings.pairs[index]
@@ -134,7 +130,6 @@ class _Work:
     def _fill_pairs(
         self, chosen: dict[int, IntArray | slice], part: slice, swept: kinematics.Sweep, twists: FloatArray
     ) -> None:
-        """Compare the readings of each pair."""
         pairs, visits = tuple(self.all_pairs[k] for k in chosen), self.readings.visits - part.start
         comparisons: list[Comparison] = []
         for pair, own in zip(pairs, chosen.values(), strict=True):
@@ -179,7 +174,6 @@ class _Work:
             )
 
     def _compare(self, chosen: IntArray | slice, seen: View | FloatArray) -> Comparison | JointComparison:
-        """Compare by the kind, and store the residuals."""
         every = isinstance(chosen, slice) and chosen == slice(0, len(self._sorted))
         readings = self.readings if every else select_readings(self.readings, chosen)
         comparison = self.instrument.compare(seen, self.robot.values[self._unknowns], readings)
@@ -216,8 +210,6 @@ def predict_readings(
     """Return the readings of instruments without noise.
 
     Args:
-        robot: The robot, at its current values.
-        configurations: Its assembled visits.
         looks: Visits, pairs and details of each instrument's readings; all that it can read at every visit, if not
             given.
     """
@@ -239,8 +231,6 @@ def views_of_instruments(
     """Return the input of each instrument at each of its readings, by name: frames, or values of a joint (n,).
 
     Args:
-        robot: The robot, at its current values.
-        configurations: Its assembled visits.
         looks: Visits and pairs of each instrument's readings.
     """
     mechanism = robot.mechanism

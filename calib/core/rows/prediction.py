@@ -23,7 +23,7 @@ Reference: jcgm100 (GUM), section 5.2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -297,7 +297,6 @@ class UncertaintyJacobian(ReadOnlyArrays):
 
     Attributes:
         robot: The robot, with undecided joint terms, their coefficients zero.
-        configurations: Its poses, loops closed.
         positions: (n_poses, n_targets, 3) [m].
         jacobian: Derivative of positions and, if requested, small turns, (n_poses, n_targets, 3 or 6, n_uncertain): by
             the free parameters, by coefficients of undecided terms, then by joints with an error at each pose.
@@ -343,7 +342,8 @@ class ParameterUncertainty(ReadOnlyArrays):
 
     def lasting_names(self, robot: Robot) -> list[str]:
         """Return the uncertain parameters of a robot with undecided terms: the free ones, then coefficients."""
-        return [*self._free_names(robot), *self._undecided_names(robot)]
+        free = [p.name for p, use in zip(robot.parameters, self.free, strict=True) if use]
+        return [*free, *self._undecided_names(robot)]
 
     def lasting(self, robot: Robot) -> BoolArray:
         """Return a mask of the uncertain quantities that are the same at every pose, (n_uncertain,)."""
@@ -372,11 +372,8 @@ class ParameterUncertainty(ReadOnlyArrays):
         """Linearise positions and turns of all targets by all uncertain quantities.
 
         Args:
-            robot: The calibrated robot.
             q: Commands, (n_poses, n_actuated) [m or rad].
-            context: Conditions of the commands.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
-            turns: Whether to include turns.
 
         Raises:
             UnreachablePoseError: A loop stays open.
@@ -391,26 +388,10 @@ class ParameterUncertainty(ReadOnlyArrays):
             jacobian = np.concatenate([jacobian, linear.joint_derivative * whole.mechanism.joint_scale], axis=-1)
         return UncertaintyJacobian(whole, configurations, linear.positions, jacobian)
 
-    def linearise_in_parts(
-        self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
-    ) -> Iterator[tuple[slice, UncertaintyJacobian]]:
-        """Yield the indices of some poses, and their linearisation; see `linearise`."""
-        for start in range(0, len(q), CHUNK):
-            some = slice(start, start + CHUNK)
-            seed = None if near is None else near[some]
-            with compile_for(len(q), many(robot.mechanism)):
-                linear = self.linearise(robot, q[some], context.select(some), seed, turns=turns)
-            yield some, linear
-
-    def _free_names(self, robot: Robot) -> list[str]:
-        return [p.name for p, free in zip(robot.parameters, self.free, strict=True) if free]
-
     def _n_errors(self, robot: Robot) -> int:
-        """Number of joints with an error at each pose."""
         return len(robot.joint_names) if self.joint_error > 0.0 else 0
 
     def _undecided_names(self, robot: Robot) -> tuple[str, ...]:
-        """Names of the coefficients of undecided terms."""
         has = {p.name for p in robot.parameters}
         return () if self.undecided is None else tuple(name for name in self.undecided.names if name not in has)
 
@@ -428,7 +409,6 @@ class ParameterUncertainty(ReadOnlyArrays):
         """Predict positions of all targets, loops closed, with the covariance of positions and orientations.
 
         Args:
-            robot: The calibrated robot.
             q: Commands, (n_poses, n_actuated) [m or rad].
             context: Conditions of the commands; joint terms may depend on them.
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
@@ -445,7 +425,11 @@ class ParameterUncertainty(ReadOnlyArrays):
         known = known if counts is None else known * np.outer(counts, counts)
         points = np.empty(shape)
         whole, without_common = ([np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]] for _ in range(2))
-        for some, linear in self.linearise_in_parts(robot, q, context, near, turns=turns):
+        for start in range(0, len(q), CHUNK):
+            some = slice(start, start + CHUNK)
+            seed = None if near is None else near[some]
+            with compile_for(len(q), many(robot.mechanism)):
+                linear = self.linearise(robot, q[some], context.select(some), seed, turns=turns)
             points[some] = linear.positions
             jacobians = [linear.jacobian]
             if common is not None:

@@ -79,8 +79,6 @@ def registration(
 
 
 class _Frames:
-    """Places of a setup."""
-
     def __init__(self, robot: Robot, setup: int) -> None:
         self.setup = setup
         self.pairs: dict[str, RelativeFrame] = {}
@@ -207,7 +205,6 @@ def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed
 
 
 def _guess_joint_numbers(robot: Robot, data: Measurements, instrument: JointInstrument) -> Robot:
-    """Return the robot with first guesses of the unknown numbers of an instrument that reads a joint."""
     readings, configurations = (
         data.readings[instrument.name],
         robot.assemble(data.joints, labels=data.labels, context=data.conditions),
@@ -243,7 +240,6 @@ def _with_guess(
 
 
 def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Frames) -> dict[str, float]:
-    """Unknown orientations of targets, by the present measurement frame."""
     values: dict[str, float] = {}
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)

@@ -35,7 +35,6 @@ class Group:
 
     Attributes:
         part: Part of the readings that has the rows.
-        stated: Whether the noise is stated.
         typical: Typical standard deviation as stated, or 1 SI unit [SI].
     """
 
@@ -57,7 +56,6 @@ class Layout(RowGroups):
         visit: Visit of each reading, (n_readings,).
         pose: Pose of each reading; visits that repeat a pose share it, (n_readings,).
         width: Number of components of each reading that were read, (n_readings,).
-        groups: The groups of rows.
     """
 
     instruments: tuple[str, ...]
@@ -121,7 +119,6 @@ class Rows(LinearModel):
         Args:
             root: T of `calib.core.numerics.observability`, (n_free, rank).
             weights: Weight of each reading in the fit, (n_readings,); 0 for unused readings.
-            freedom: Degrees of freedom of the fit.
             scale: See `calib.core.numerics.losses`; found from these readings if not given.
         """
         layout, span = self.layout, Span(self.jacobian, root)

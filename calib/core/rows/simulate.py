@@ -200,7 +200,6 @@ def touching_configurations(
 
 
 def _require_contact(poses: Poses, misses: FloatArray) -> None:
-    """Raise `UnreachablePoseError` where some pose misses (n,) [m] its contact."""
     worst, more = int(np.argmax(misses)), int(np.sum(misses >= MET)) - 1
     if misses[worst] >= MET:
         raise UnreachablePoseError(
@@ -278,13 +277,11 @@ def _context(poses: Poses, commands: FloatArray) -> Context:
 
 
 def _assemble(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray) -> Configurations:
-    """Assemble the robot at commands (n, n_actuated) plus joint errors."""
     context = _context(poses, commands)
     return robot.assemble(commands + off, labels=poses.labels, context=context)
 
 
 def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
-    """Readings with noise, without those that see nothing."""
     seen = np.flatnonzero(~np.isnan(exact.values).all(axis=1))
     visible = exact if len(seen) == len(exact) else select_readings(exact, seen)
     change = np.zeros((len(visible), instrument.n_rows))

@@ -22,10 +22,8 @@ class Unknowns(ReadOnlyArrays):
         index: Indices among all parameters, (n,).
         scales: Sigma of each, (n,) [SI].
         expected: Means of the priors: nominal values, or those of a fleet, (n,) [SI].
-        prior: Prior of the scaled parameters.
         placement: Whether each is only a place of an instrument or a target, (n,).
         family: Number of the family of each, -1 for none, (n,).
-        families: Names of the families.
     """
 
     names: tuple[str, ...]
@@ -102,7 +100,6 @@ class Unknowns(ReadOnlyArrays):
 
 
 def _prior(robot: Robot, kept: list[Parameter]) -> Prior:
-    """Prior of some of the robot's parameters."""
     has, fleet = np.array([p.prior for p in kept], dtype=bool), robot.description.fleet
     together = [k for k, p in enumerate(kept) if fleet is not None and fleet.knows(p.name)]
     if fleet is None or not together:

@@ -25,7 +25,6 @@ class Whitening:
 
     Args:
         robot: Robot whose instruments state their noise.
-        data: The readings.
         sigma: Noise of positions per axis that replaces the stated one [m].
 
     Attributes:
@@ -120,7 +119,6 @@ class Whitening:
         Args:
             observed: Observed rows of each instrument, by name.
             groups: Scale of the noise of each group, (n_groups,).
-            unknowns: The parameters of the columns.
             values: Values of all parameters at which they were observed, (n_parameters,) [m or rad].
         """
         residuals = self.whiten({name: observed[name].residuals for name in self._names}, groups)
@@ -166,12 +164,10 @@ def _covariance(instrument: Instrument, noise: Noise, readings: Readings) -> Flo
 
 
 def _are_whole(data: Measurements) -> bool:
-    """Whether every component was read, and no reading has its own noise."""
     return all(each.covariance is None and not np.isnan(each.values).any() for each in data.readings.values())
 
 
 def _absent(instrument: Instrument, readings: Readings) -> BoolArray:
-    """Mask of the components that were not read, (n, n_rows)."""
     nothing: BoolArray = np.isnan(readings.values)
     if not nothing.any():
         return np.zeros((len(readings), instrument.n_rows), dtype=bool)
@@ -189,7 +185,6 @@ def _group(
     covariance: FloatArray,
     part: Part,
 ) -> int:
-    """Number of the group of a part of an instrument's rows; a new group is added."""
     index = instrument.parts.index(part)
     stated = readings.covariance is not None or noise.parts[index].stated
     key = (instrument.group, part.name, stated)

@@ -22,7 +22,7 @@ from calib.core.data.measurement_files import read_poses
 from calib.core.data.measurements import Measurements
 from calib.core.data.plan_files import read_pose_files
 from calib.core.fitting.joint_conventions import wrapped_terms
-from calib.core.judging.blind_spots import unordered
+from calib.core.judging.verdict import unordered
 from calib.core.robots.pose_check import check_poses
 from calib.core.rows.observed import touches_without_target
 from calib.pictures import figures

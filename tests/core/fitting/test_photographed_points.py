@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.fitting.likely_mistakes import likely_mistake
-from calib.core.fitting.photographed_points import photographed_points
+from calib.core.fitting.likely_mistakes import likely_mistake, photographed_points
 from tests.project import EXAMPLES
 
 URDF = EXAMPLES / "hobby_arm.urdf"

@@ -62,7 +62,7 @@ def simulated(robot, shape, rng, *, n=60, size=SIZE, again=1):
 def test_of_very_many_poses_only_those_that_sizes_are_found_from_are_observed(monkeypatch):
     robot = example("arm")
     fit = calib.fit(robot, calib.simulate(robot, robot.sample(700, seed=1), seed=2))
-    model, observed = KindModel(fit, (), fit.unknowns.scales), []
+    model, observed = KindModel(fit, ()), []
     observe = calib.core.fitting.terms.kind_model.observe
     monkeypatch.setattr(
         "calib.core.fitting.terms.kind_model.observe",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.judging.copied_readings import copied_visits
+from calib.core.judging.rules_data import copied_visits
 from tests.six_axis_arm import joints, measurements, noisy
 
 SIGMA = 4e-5

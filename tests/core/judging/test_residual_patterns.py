@@ -7,9 +7,9 @@ from scipy.stats import f
 import calib
 from calib.core.data.measurements import directions_of_motion
 from calib.core.judging import findings, residual_patterns
-from calib.core.judging.blind_spots import not_covered
 from calib.core.judging.effect_kinds import Family, Kind, Pattern, describe
 from calib.core.judging.effects import ORDERS, wave_orders
+from calib.core.judging.verdict import not_covered
 from tests.six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
 
 SIGMA = 4e-5

@@ -12,12 +12,12 @@ from calib.core.data.measurements import with_points
 from calib.core.fitting.solved_fit import Convergence
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import _margin_above_mean
-from calib.core.judging.blind_spots import unordered
 from calib.core.judging.next_step import next_step
 from calib.core.judging.reasons import Code
 from calib.core.judging.rounded_joint_values import joint_steps, rounding
 from calib.core.judging.row_derivatives import scales
 from calib.core.judging.rules_reach import _covariance_given
+from calib.core.judging.verdict import unordered
 from tests.core.judging.situations import SIGMA
 from tests.project import EXAMPLES
 from tests.six_axis_arm import FREE, YAML, joints, measurements, noisy, write_six_axis

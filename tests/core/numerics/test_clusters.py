@@ -1,10 +1,12 @@
 """Errors that rows of one block share, against dense algebra, refits and many draws."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.linalg import inv, sqrtm
 
-from calib.core.numerics.clusters import LeftOutBlocks, scatter
+from calib.core.numerics.clusters import scatter, shifts_without_block
 from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
 
@@ -62,10 +64,9 @@ def test_blocks_are_foretold_as_by_a_fit_of_all_others():
         expected[~rest] = errors[~rest] - jacobian[~rest] @ np.linalg.solve(normal, jacobian[rest].T @ errors[rest])
     span = jacobian @ root
     np.testing.assert_allclose(
-        residuals + LeftOutBlocks(span, block).shifts_without_block(residuals)[0], expected, rtol=1e-9, atol=1e-9
+        residuals + shifts_without_block(span, block, residuals)[0], expected, rtol=1e-9, atol=1e-9
     )
-    of_fewer = LeftOutBlocks(span[:, :-2], block)
-    moved, _ = of_fewer.shifts_without_block(residuals, further_columns=span[:, -2:])
+    moved, _ = shifts_without_block(span[:, :-2], block, residuals, further_columns=span[:, -2:])
     np.testing.assert_allclose(residuals + moved, expected, rtol=1e-9, atol=1e-9)
 
 
@@ -75,8 +76,8 @@ def test_rows_move_as_in_a_fit_without_their_block():
     weighted = jacobian * np.exp(weights)[:, None]
     root = np.linalg.cholesky(np.linalg.inv(weighted.T @ weighted + np.diag(1.0 * has_prior)))
     residuals, solution = fitted(weighted, root, has_prior, errors)
-    left_out = LeftOutBlocks(weighted @ root, block)
-    moved, largest = left_out.shifts_without_block(residuals, seen=jacobian @ root, alone=1.0 - 1e-6)
+    left_out = partial(shifts_without_block, weighted @ root, block, residuals)
+    moved, largest = left_out(seen=jacobian @ root, alone=1.0 - 1e-6)
     for b in range(6):
         own = block == b
         normal = weighted[~own].T @ weighted[~own] + np.diag(1.0 * has_prior)
@@ -84,8 +85,8 @@ def test_rows_move_as_in_a_fit_without_their_block():
         np.testing.assert_allclose(moved[own], jacobian[own] @ (root @ solution - without), rtol=1e-8, atol=1e-8)
         hat = weighted[own] @ root @ root.T @ weighted[own].T
         assert largest[b] == pytest.approx(np.linalg.eigvalsh(hat)[-1], rel=1e-9)
-    alike = left_out.shifts_without_block(residuals, seen=weighted @ root)
-    for number, other in zip(left_out.shifts_without_block(residuals), alike, strict=True):
+    alike = left_out(seen=weighted @ root)
+    for number, other in zip(left_out(), alike, strict=True):
         np.testing.assert_allclose(number, other, rtol=1e-9, atol=1e-9)
 
 

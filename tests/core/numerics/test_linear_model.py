@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calib.core.numerics.clusters import shifts_without_block
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.prior import Prior
 
@@ -39,7 +40,7 @@ def test_a_model_by_some_parameters_holds_the_others(model):
 
 def test_a_block_left_out_moves_its_rows_to_where_the_others_have_them(model):
     block = np.arange(40) // 8
-    moved, decided = model.leave_out_blocks(block).shifts_without_block(model.residuals + model.jacobian @ model.step())
+    moved, decided = shifts_without_block(model.span, block, model.residuals + model.jacobian @ model.step())
     assert decided.shape == (5,)
     for b in range(5):
         rest = block != b

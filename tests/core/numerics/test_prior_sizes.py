@@ -6,8 +6,7 @@ import pytest
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.mixed_rows import SeenColumns
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.prior_sizes import variance_by_sizes
-from calib.core.numerics.size_search import find_sizes
+from calib.core.numerics.size_search import find_sizes, variance_by_sizes
 
 FAMILY = np.array([-1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 1])
 STEP = 1e-4

@@ -8,7 +8,7 @@ import pytest
 
 import calib
 from calib.core.robots.joint_sampling import joint_samples
-from calib.core.rows.gauge import poses_around_home
+from calib.core.rows.frames import poses_around_home
 from calib.exporting.gap import poses_near_home
 from calib.matching.agreement import other_poses
 from tests.project import EXAMPLES

@@ -117,9 +117,6 @@ class TermChoice:
 def candidates(robot: Robot, data: Measurements) -> tuple[CandidateTerm, ...]:
     """Return a candidate for each kind of term, in the order of the registry, then remarks on terms that cannot be
     tried.
-
-    Args:
-        robot: The robot with its described terms.
     """
     kinds = [_candidate(name, robot, data) for name in TERMS if _is_tried_by_auto(name)]
     uncounted = uncounted_turns(robot, data.joints)

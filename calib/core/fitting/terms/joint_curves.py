@@ -22,7 +22,6 @@ class JointCurve(ReadOnlyArrays):
     """The error of one joint over its own value, as found.
 
     Attributes:
-        dimension: Whether a length or an angle.
         command: Commanded values over the measured range, (n,) [m or rad].
         error: Actual minus commanded value, by the curve, (n,) [m or rad].
         std: Standard deviation of `error`, (n,) [m or rad].

@@ -48,38 +48,31 @@ def with_kinds(robot: Robot, kinds: Sequence[CandidateTerm]) -> Robot:
 
 
 class KindModel:
-    """Rows of kinds of joint errors around a fit.
-
-    Args:
-        scales: Sigmas of the fit's free parameters, (n_free,) [SI]: the fit's families keep their sizes. If not given,
-            the fit's families are families of this model, too.
+    """Rows of kinds of joint errors around a fit, whose own families keep their sizes.
 
     Attributes:
         robot: The robot with terms of all kinds.
-        families: The families of the model.
-        of_kinds: Mask of the families that come from `kinds`, (n_families,).
+        families: The families of these kinds.
     """
 
-    def __init__(self, fit: SolvedFit, kinds: Sequence[CandidateTerm], scales: FloatArray | None = None) -> None:
+    def __init__(self, fit: SolvedFit, kinds: Sequence[CandidateTerm]) -> None:
         self._fit = fit
         self.robot = with_kinds(fit.robot, kinds)
-        self._unknowns = Unknowns.from_robot(self.robot)
+        unknowns, known = (
+            Unknowns.from_robot(self.robot),
+            dict(zip(fit.unknowns.names, fit.unknowns.scales, strict=True)),
+        )
+        scales = [known.get(name, scale) for name, scale in zip(unknowns.names, unknowns.scales, strict=True)]
+        self._unknowns = replace(unknowns, scales=np.array(scales))
         owner = {
             p.name: TermFamily(kind.term, term.joint if term.differs else "")
             for kind in kinds
             for term in kind.terms_in(self.robot)
             for p in term.parameters
         }
-        own = [self._unknowns.families[k] if k >= 0 else "" for k in self._unknowns.family]
-        if scales is not None:
-            own, known = [""] * len(own), dict(zip(fit.unknowns.names, scales, strict=True))
-            every = zip(self._unknowns.names, self._unknowns.scales, strict=True)
-            self._unknowns = replace(self._unknowns, scales=np.array([known.get(name, scale) for name, scale in every]))
-        labels = [owner.get(name, TermFamily(label)) for name, label in zip(self._unknowns.names, own, strict=True)]
-        self.families = [family for family in dict.fromkeys(labels) if family.term]
-        numbers = {family: k for k, family in enumerate(self.families)}
-        self._family = np.array([numbers.get(label, -1) for label in labels], dtype=np.intp)
-        self.of_kinds = np.array([family in owner.values() for family in self.families], dtype=bool)
+        self.families = list(dict.fromkeys(owner[name] for name in unknowns.names if name in owner))
+        numbers = {name: self.families.index(family) for name, family in owner.items()}
+        self._family = np.array([numbers.get(name, -1) for name in unknowns.names], dtype=np.intp)
 
     @cached_property
     def informative_rows(self) -> IntArray:

@@ -26,7 +26,7 @@ Results:
                  drawn sizes of all kinds that the rows leave open, cov u = mean of C + covariance of u: its excess
                  over C of the fitted sizes is added to the covariance of the fit. Sizes of fitted curves are not
                  drawn: the fit finds them again, and counts their uncertainty
-                 (`calib.core.numerics.prior_sizes`)
+                 (`calib.core.numerics.size_search`)
 
 Measured on real robots (`docs/theory/joint_terms.md`): weighting the fit itself by the error of joints was no better on
 one tracked arm and much worse where a camera reads several points of a pose, whose noise has another shape. Time and
@@ -41,12 +41,11 @@ Reference: breiman1984; kass1995; patterson1971; roberts2017.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DataError
@@ -65,7 +64,6 @@ from calib.core.fitting.terms.candidate_terms import (
 from calib.core.fitting.terms.kind_model import KindModel
 from calib.core.fitting.validation import stretches
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
-from calib.core.numerics.mixed_rows import MixedRows
 from calib.core.numerics.size_search import draw_sizes, least_sizes, likeliest_sizes
 from calib.core.robots.terms.term import TermSection
 from calib.core.rows.prediction import UndecidedTerms
@@ -83,9 +81,6 @@ _LIMITS = (0.025, 0.975)
 @one_blas_thread
 def size_terms(fit: Fit) -> TermChoice:
     """Return the terms of the joints' errors with the sizes that measurements show.
-
-    Args:
-        fit: The fit with the described terms of its robot.
 
     Raises:
         DataError: Too few poses.
@@ -111,25 +106,16 @@ def size_terms(fit: Fit) -> TermChoice:
 
 
 class _TermModel:
-    """The mixed model of all kinds around a fit."""
-
     def __init__(self, fit: Fit, kinds: Sequence[CandidateTerm]) -> None:
-        self._fit, self._kinds = fit, kinds
-        self._kind_model = KindModel(fit, kinds)
-        self._families = self._kind_model.families
-        self._sections = tuple(section for candidate in kinds for section in candidate.sections)
-        self._solved = dict[frozenset[str], SolvedModel]()
-
-    @cached_property
-    def _solved_model(self) -> SolvedModel:
-        """The model with its likeliest sizes."""
-        return likeliest_sizes(MixedModel.from_rows(self._rows))
-
-    @cached_property
-    def _rows(self) -> MixedRows:
-        """Rows of the model, divided by the noise that the fit found: stated noise contains no errors of the robot."""
-        scales, model = self._fit.scales, self._kind_model
-        return model.rows(model.informative_rows, scales, np.zeros(len(scales), dtype=bool))
+        self._fit, self._kinds, self._kind_model = fit, kinds, KindModel(fit, kinds)
+        self._families, read = self._kind_model.families, self._kind_model.informative_rows
+        self._terms = np.array([family.term for family in self._families], dtype=np.str_)  # of each family
+        self._requested_kinds = frozenset(map(str, self._terms))
+        # divided by the noise that the fit found: stated noise contains no errors of the robot
+        self._rows = self._kind_model.rows(read, fit.scales, np.zeros(len(fit.scales), dtype=bool))
+        self._solved_model = likeliest_sizes(MixedModel.from_rows(self._rows))
+        self._smallest_logs = least_sizes(self._solved_model.model)  # as good as zero
+        self._solved = {self._requested_kinds: self._solved_model}
 
     @cached_property
     def _blocks(self) -> IntArray:
@@ -149,9 +135,8 @@ class _TermModel:
     def _solve_with_kinds(self, kinds: frozenset[str]) -> SolvedModel:
         """The model with some of the requested kinds; the search starts from the most similar solved set."""
         full = self._solved_model
-        self._solved.setdefault(self._requested_kinds, full)
         if kinds not in self._solved:
-            near = self._solved[min(self._solved, key=lambda known: self._freedom_of_kinds(known ^ kinds))].logs
+            near = self._solved[min(self._solved, key=lambda known: full.freedom(self._members(known ^ kinds)))].logs
             solved = likeliest_sizes(
                 full.model, np.where(np.isneginf(near), full.logs, near), self._absent(kinds), _ROUGH
             )
@@ -160,7 +145,7 @@ class _TermModel:
 
     def _absent(self, kinds: frozenset[str]) -> BoolArray:
         """Mask of the families of all other requested kinds, (n_families,)."""
-        return self._kind_model.of_kinds & ~np.isin(self._terms, list(kinds))
+        return ~np.isin(self._terms, list(kinds))
 
     def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
         """Upper bound of a kind's gain of log likelihood, from the sets solved so far: more kinds fit better."""
@@ -170,12 +155,8 @@ class _TermModel:
 
     def _squares(self, at: SolvedModel) -> FloatArray:
         """Squared errors of left-out blocks, divided by those of the model without terms, (n_blocks,)."""
-        bare = self._solve_with_kinds(frozenset())
-        rows, left = bare.model.rows, bare.whitened_residuals
-        squares = bare.variance * left**2
-        sums, counts = (
-            np.bincount(rows.group, values, len(rows.has_stated_noise)) for values in (squares, np.ones(len(left)))
-        )
+        sums = self._solve_with_kinds(frozenset()).squares_and_freedom[0]
+        counts = np.bincount(self._rows.group, minlength=len(sums))
         return at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
 
     def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
@@ -190,29 +171,19 @@ class _TermModel:
         return float(np.sum(fewer)) > np.sqrt(len(fewer)) * float(np.std(fewer, ddof=1))
 
     @cached_property
-    def _requested_kinds(self) -> frozenset[str]:
-        """Requested kinds."""
-        return frozenset(map(str, self._terms[self._kind_model.of_kinds]))
-
-    @cached_property
     def _chosen_model(self) -> SolvedModel:
-        """The model with the kinds that earn their place."""
         every = kinds = self._requested_kinds
         seen = set[frozenset[str]]()
         while kinds not in seen:
             seen.add(kinds)
-            for kind in self._kinds_by_freedom(kinds):
+            at = self._solve_with_kinds(kinds)
+            for kind in sorted(kinds, key=lambda kind: -at.freedom(self._members({kind}))):
                 kinds = kinds if self._earns(kind, kinds) else kinds - {kind}
             if kinds not in seen:
                 continue
             more = [kind for kind in sorted(every - kinds) if self._earns(kind, kinds)]
             kinds |= {min(more, key=lambda kind: self._solve_with_kinds(kinds | {kind}).cost)} if more else kinds
         return likeliest_sizes(self._solved_model.model, self._solve_with_kinds(kinds).logs, self._absent(kinds))
-
-    @cached_property
-    def _smallest_logs(self) -> FloatArray:
-        """Logarithms of sizes that are as good as zero, (n_sizes,)."""
-        return least_sizes(self._solved_model.model)
 
     def _is_shown(self, k: int) -> bool:
         """Whether rows show a family of the chosen model: its log likelihood is higher with it."""
@@ -225,32 +196,18 @@ class _TermModel:
 
     @cached_property
     def _is_fitted(self) -> BoolArray:
-        """Mask of the families that are fitted, (n_families,)."""
         large = np.exp(self._chosen_model.logs[: len(self._families)]) > _SMALL
         return np.array([some or self._is_shown(k) for k, some in enumerate(large)], dtype=bool)
 
-    @cached_property
-    def _terms(self) -> NDArray[np.str_]:
-        """Kind of each family, (n_families,)."""
-        return np.array([family.term for family in self._families], dtype=np.str_)
-
-    def _freedom_of_kinds(self, kinds: frozenset[str]) -> float:
-        """Number of coefficients of some kinds that the rows decide, in the model of all."""
-        return self._solved_model.freedom(np.flatnonzero(np.isin(self._terms, list(kinds))))
-
-    def _kinds_by_freedom(self, kinds: frozenset[str]) -> list[str]:
-        """Some kinds, sorted by the number of coefficients that rows decide, most first."""
-        at = self._solve_with_kinds(kinds)
-        return sorted(kinds, key=lambda kind: -at.freedom(self._members(kind)))
-
-    def _members(self, kind: str) -> IntArray:
-        return np.flatnonzero(self._terms == kind)
+    def _members(self, kinds: Collection[str]) -> IntArray:
+        """Numbers of the families of some kinds."""
+        return np.flatnonzero(np.isin(self._terms, list(kinds)))
 
     def entries(self, candidate: CandidateTerm) -> tuple[TermSection, ...]:
         """Return the fitted entries of a kind, with the sigma that was found."""
         factors = dict[str, float]()
         terms = candidate.terms_in(self._kind_model.robot)
-        for k in (k for k in self._members(candidate.term) if self._is_fitted[k]):
+        for k in (k for k in self._members({candidate.term}) if self._is_fitted[k]):
             joints = [term.joint for term in terms if self._families[k].joint in ("", term.joint)]
             factors |= dict.fromkeys(joints, float(np.exp(self._chosen_model.logs[k])))
         if candidate.is_curve_in(self._kind_model.robot):  # the fit finds its size again
@@ -260,7 +217,7 @@ class _TermModel:
 
     def outcome(self, candidate: CandidateTerm) -> TermTrial:
         """Return the outcome for a kind."""
-        members = self._members(candidate.term)
+        members = self._members({candidate.term})
         there = [k for k in members if self._is_fitted[k]]
         most = max(members, key=lambda k: self._chosen_model.logs[k])
         low, high = np.quantile(np.exp(self._draws[:, most]), _LIMITS)
@@ -284,14 +241,9 @@ class _TermModel:
         """Return the uncertainty that the sizes leave in these terms and in the others; None if they leave none."""
         fitted = np.append(self._is_fitted, np.ones(len(self._smallest_logs) - len(self._families), dtype=bool))
         logs = np.where(fitted, self._chosen_model.logs, self._smallest_logs)
-        others = missing_terms(self._fit.robot.with_terms(fitted_terms), self._sections)
-        draws = np.where(fitted & self._has_size_in_fit, logs, self._draws)
+        tried = tuple(section for candidate in self._kinds for section in candidate.sections)
+        others = missing_terms(self._fit.robot.with_terms(fitted_terms), tried)
+        curves = [kind.term for kind in self._kinds if kind.is_curve_in(self._kind_model.robot)]
+        sized = np.isin(np.arange(len(logs)), np.flatnonzero(np.isin(self._terms, curves)))
+        draws = np.where(fitted & sized, logs, self._draws)  # a fit finds the sizes of curves again
         return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, draws, others)
-
-    @cached_property
-    def _has_size_in_fit(self) -> BoolArray:
-        """Mask of the sizes that a fit finds, and whose uncertainty it counts, (n_sizes,): those of curves."""
-        model = self._kind_model
-        curves = [kind.term for kind in self._kinds if kind.is_curve_in(model.robot)]
-        found = ~model.of_kinds | np.isin(self._terms, curves)
-        return np.append(found, np.zeros(len(self._smallest_logs) - len(found), dtype=bool))

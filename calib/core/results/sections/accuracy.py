@@ -26,16 +26,6 @@ _PLACED_ANEW = "validation, frame placed anew"
 _JUDGED_BY = (_PLACED_ANEW, "validation", "left out in turn", "identification")
 
 
-def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
-    """Return every set of poses with errors, by name."""
-    sets = [("identification", fit.identification)]
-    if fit.validation is not None:
-        sets.append(("validation", fit.validation))
-    if fit.folds is not None:
-        sets.append(("cross_validation", fit.folds.errors))
-    return sets
-
-
 def shown_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
     """Return the sets by their display names.
 
@@ -47,7 +37,7 @@ def shown_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
         (_PLACED_ANEW, placed)
         if errors is fit.validation and placed is not None and placed is not errors
         else (NAMES.get(name, name), errors)
-        for name, errors in error_sets(fit)
+        for name, errors in fit.error_sets.items()
     ]
     if fit.nominal.description.in_use:
         sets = [(name, before_in_use(fit, errors)) for name, errors in sets]

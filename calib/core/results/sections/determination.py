@@ -99,7 +99,6 @@ def position_lines(fit: Fit) -> list[str]:
 
 
 def _position_sets(fit: Fit) -> Iterator[tuple[str, ErrorSet, PositionUncertainty]]:
-    """The used and the validation poses, with the uncertainty of positions, where any parameter moves a position."""
     for name, errors, uncertainty in (
         ("identification", fit.identification, fit.identification_uncertainty),
         ("validation", fit.validation, fit.validation_uncertainty),

@@ -37,7 +37,6 @@ class GridColumn:
     """A column of a table.
 
     Attributes:
-        head: Its header.
         on_page: Its header on a page, where it differs.
         words: Whether its cells are words, which stand on the left.
         only_page: Whether text leaves it out.
@@ -56,8 +55,6 @@ class Grid:
     Attributes:
         title: Text above it on a terminal.
         caption: Text above it on a page.
-        columns: Its columns; the first names the rows.
-        rows: Their cells.
         counting: Numbers of the rows that matter most; a page marks them.
     """
 

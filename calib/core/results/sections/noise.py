@@ -10,7 +10,6 @@ from calib.core.base.units import error_unit, quantity_text
 from calib.core.base.words import count_noun
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.repeatability import doubtful_repeats, repeat_table, repeatability
-from calib.core.results.sections.accuracy import error_sets
 
 
 def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
@@ -18,7 +17,7 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
     blocks: list[dict[str, object]] = []
     sections = fit.nominal.description.instruments
     noise_of = {(noise.group.name, noise.group.part.name): noise for noise in fit.noise}
-    tables = {label: errors.tables() for label, errors in error_sets(fit)}
+    tables = {label: errors.tables() for label, errors in fit.error_sets.items()}
     for instrument in fit.nominal.instruments:
         parts = []
         for part in instrument.parts:
@@ -57,12 +56,6 @@ class NoiseFound:
 
 def noise_found(fit: Fit) -> list[NoiseFound]:
     """Return the noise of each group of rows; its quantity is named if there are several."""
-    several = {
-        (instrument.group, part.name)
-        for instrument in fit.nominal.instruments
-        for part in instrument.parts
-        if len(part.axes) > 1
-    }
     lines = []
     for noise in fit.noise:
         unit, scale = error_unit(noise.group.part.dimension)
@@ -72,7 +65,7 @@ def noise_found(fit: Fit) -> list[NoiseFound]:
                 scale * noise.sigma,
                 None if noise.stated is None else scale * noise.stated,
                 unit,
-                " per axis" if (noise.group.name, noise.group.part.name) in several else "",
+                " per axis" if len(noise.group.part.axes) > 1 else "",
                 noise.freedom,
             )
         )

@@ -17,7 +17,6 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import Outlier, outliers_in_words
 from calib.core.judging import findings
 from calib.core.judging.verdict import judge
-from calib.core.results.sections.accuracy import error_sets
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 from calib.core.results.sections.parameters import parameter_rows
 from calib.core.rows.rows import Rows
@@ -134,7 +133,7 @@ def with_excluded(fit: Fit) -> dict[str, object] | None:
         "verdict": judge(fit.with_all).to_dict(),
         "sigma": fit.with_all.sigma,
         "parameters": parameter_rows(fit.with_all),
-        "errors": {name: errors.table() for name, errors in error_sets(fit.with_all)},
+        "errors": fit.with_all.errors,
     }
 
 

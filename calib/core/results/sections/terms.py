@@ -51,7 +51,6 @@ def terms_lines(fit: Fit) -> list[str]:
 
 
 def _size_in_words(trial: TermTrial) -> str:
-    """A kind of term and its size, in words."""
     low, high = trial.size95
     if not trial.added:
         return f"{trial.term} (up to {high:.2g} times the usual size)"

@@ -9,7 +9,7 @@ at its two ends are independent:
     dq = sum over k = 1 .. K of a_k sin(k q) + b_k cos(k q),        a_k, b_k ~ N(0, (amplitude / k)^2)
 
 Coefficients decrease with their order as those of a curve with bounded slope. The amplitude is common to all orders of
-a joint, and is found by marginal likelihood (`calib.core.numerics.variance_components`), so that the curve is as large
+a joint, and is found by marginal likelihood (`calib.core.numerics.size_search`), so that the curve is as large
 as the data show. Where the joint did not move, the curve stays at zero, with the standard deviation of the prior.
 """
 

@@ -159,7 +159,6 @@ class DraggedView:
             self.note.content = f"not reached: {1e3 * solution.miss_position[0]:.2f} mm short"
 
     def _slider(self, k: int) -> Any:
-        """Add the slider of joint k within its limits."""
         joint, solid = self._shown.scene.joints[k], self._shown.solid
         limits = {one.name: (one.lower, one.upper) for one in solid.urdf.joints}
         ends = [

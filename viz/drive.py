@@ -106,12 +106,9 @@ class Drive:
 
 
 def drive_of(robot: Robot, bodies: Bodies, shown: FloatArray) -> Drive:
-    """Return the data by which a page moves a robot by hand.
+    """Return the data by which a page moves by hand the robot that is drawn solid.
 
-    Args:
-        robot: The robot that is drawn solid.
-        bodies: Its tree.
-        shown: Motors in the shown poses, (n, n_actuated) [m or rad], which their ranges include.
+    The ranges of the motors include the shown poses, (n, n_actuated) [m or rad].
     """
     mechanism, moving = robot.mechanism, bodies.moving
     names = [mechanism.origin_names[joint] for joint in moving]

@@ -117,14 +117,9 @@ def pose_table_of_errors(
     predictions: PositionUncertainty | None = None,
     outliers: tuple[Outlier, ...] = (),
 ) -> PoseTable:
-    """Return one row, with its errors, for each reading of a point in a set.
+    """Return one row, with its errors, for each reading of a point in a set of a fit.
 
-    Args:
-        fit: The fit.
-        group: Group of the pose table.
-        errors: The set.
-        predictions: Positions that the calibrated robot predicts at each visit, or None.
-        outliers: Outlying readings of the set.
+    `predictions` are positions that the calibrated robot predicts at each visit.
     """
     before, after = (_position_errors(errors, state) for state in ("before", "after"))
     rows = fit.validation_rows if group == VALIDATION else fit.rows
@@ -135,13 +130,7 @@ def pose_table_of_errors(
 def from_measurements(
     data: Measurements, nominal: Robot, calibrated: PredictingRobot | None, sigmas: Sigmas
 ) -> PoseTable:
-    """Return measurements with the predictions of robots for them.
-
-    Args:
-        data: The measurements.
-        nominal: The robot before calibration.
-        calibrated: The robot after calibration with its uncertainty, or None.
-        sigmas: Noise of the instruments.
+    """Return measurements with the predictions for them of the robots before and, if any, after calibration.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -150,12 +139,7 @@ def from_measurements(
 
 
 def from_plan(robot: Robot, poses: Poses, hits: tuple[str, ...]) -> PoseTable:
-    """Return poses without readings, at the positions that a robot predicts.
-
-    Args:
-        robot: The robot.
-        poses: The poses.
-        hits: Colliding pair at each pose, "" for none, (n,).
+    """Return poses without readings, at the positions that a robot predicts; `hits` (n,) are colliding pairs, or "".
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.

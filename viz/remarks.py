@@ -89,7 +89,6 @@ def _stated_texts(fit: Fit, key: str) -> list[str]:
 
 
 def _temperatures(fit: Fit) -> list[str]:
-    """The range of the column of temperatures, if there is one."""
     values = np.concatenate([data.context.get(_TEMPERATURE, np.zeros(0)) for data in _files(fit)])
     known = values[np.isfinite(values)]
     if not len(known):

@@ -72,15 +72,10 @@ def report_page(
     logo: str = "",
     scene: ViewerScene | None = None,
 ) -> ViewerPage:
-    """Return the report of a fit.
+    """Return the report of a fit, made by a command line.
 
-    Args:
-        fit: The fit.
-        command: Command line that made it.
-        created: Time to print; default: now.
-        viewer: File with the viewer beside the page, to link to; empty: none.
-        logo: Image beside the title, an address from `calib.core.base.files.image_address`; empty: none.
-        scene: The fit's scene, if it exists already.
+    `created` is printed (default: now); `viewer` is the file beside the page, to link to; `logo` is an address from
+    `calib.core.base.files.image_address`; `scene` is the fit's, if it exists already.
     """
     shown = scene_of_fit(fit) if scene is None and fit.assembles else scene
     headline, table, budget, claim = Headline.from_fit(fit), from_fit(fit), budget_table(fit), judge(fit).claim
@@ -131,15 +126,9 @@ def report_page(
 def printed_page(
     template: str, charts: Charts, command: str, created: datetime | None = None, frame: str = "", **content: object
 ) -> ViewerPage:
-    """Return a page for the screen and for paper.
+    """Return a page for the screen and for paper from a template, its plots, and further variables.
 
-    Args:
-        template: Its template.
-        charts: Its plots.
-        command: Command line that made it.
-        created: Time to print; default: now.
-        frame: The viewer's page, shown in a frame; empty: none.
-        content: Further variables of the template.
+    `created` is printed (default: now); `frame` is the viewer's page, shown in a frame.
     """
     when = created if created is not None else datetime.now(UTC)
     about = {"program": PROGRAM, "command": command, "created": when.strftime("%Y-%m-%d %H:%M UTC")}
@@ -149,7 +138,6 @@ def printed_page(
 
 
 def _charts(fit: Fit, scene: ViewerScene | None) -> Charts:
-    """All plots of a report."""
     plots = places(
         parameters=(parameters(fit), dials(fit)),
         budget=(waterfall(fit), joint_shares(fit)),

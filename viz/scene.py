@@ -192,18 +192,10 @@ def build_scene(
     comments: Remarks = NO_REMARKS,
     others: tuple[OtherErrors, ...] = (),
 ) -> ViewerScene:
-    """Return the scene of a robot and its poses.
+    """Return the scene of a robot before and, if given, after calibration, at poses (None: at home).
 
-    Args:
-        nominal: The robot before calibration.
-        calibrated: The robot after calibration, or None.
-        poses: Points to show; None: the robot at home.
-        readings: Errors of readings other than positions.
-        verdict: Verdict on the fit.
-        notes: Warnings, in addition to those on the URDF's shapes.
-        uncertainty_notes: Sentences on the frame of the numbers.
-        comments: Comments of the measurement files.
-        others: Errors of readings other than positions.
+    `readings` are errors of readings other than positions, and `others` their sizes; `notes` come before those on the
+    URDF's shapes; `uncertainty_notes` are sentences on the frame of the numbers.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.

@@ -16,7 +16,7 @@ from calib.photographs.camera_alone import intrinsics_at_first, point_errors
 from calib.photographs.estimation import estimate, predict_left_out_images, rms, solve
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
-from calib.photographs.other_readings import other_readings
+from calib.photographs.mistakes import other_readings
 from calib.photographs.scene import POSES, HandEyePlacement, HandEyeUnknowns, plane_errors_on_board, residuals, rows
 from calib.photographs.shared_errors import ErrorSizes
 from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, board_points, pixels_of, pose, scene

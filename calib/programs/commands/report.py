@@ -54,9 +54,7 @@ def expected_error_sentence(
 ) -> str:
     """Return a sentence on the expected error with the correction and, unless `before` is None, without it.
 
-    Args:
-        subject: Subject of the sentence, such as `The tool`.
-        expected, before: `summary` of the errors with and without the correction, in `unit`.
+    `expected` and `before` are `summary` of the errors with and without the correction, in `unit`.
     """
     now = (
         f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (RMS), {expected['max']:.4f} {unit} at worst"

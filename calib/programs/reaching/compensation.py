@@ -190,7 +190,6 @@ def compensate_in(frame: CorrectionFrame, program: Poses | Goals, keep: str | No
 
 
 def _compensate(frame: CorrectionFrame, task: ProgramTask) -> Compensation:
-    """The compensation of all rows that can be solved."""
     robot, n = frame.robot, len(task.goals)
     reach = problem(robot, task.goals)
     meant = np.where(np.array(task.reasons)[:, None] == "", task.goals.positions, np.nan)

@@ -57,14 +57,8 @@ class ExpectedError(ReadOnlyArrays):
     def from_frame(
         frame: CorrectionFrame, goals: Goals, commands: FloatArray, rows: IntArray, context: Context
     ) -> ExpectedError:
-        """Return the expected errors at commands for some of the goals.
-
-        Args:
-            frame: Frame of the goals.
-            goals: The goals, n of them.
-            commands: Joints for some of them, (n_rows, n_actuated) [m or rad].
-            rows: Indices of these goals, (n_rows,).
-            context: Conditions at the commands.
+        """Return the expected errors at commands (n_rows, n_actuated) [m or rad] for the goals `rows` (n_rows,), in a
+        frame.
         """
         errors = np.full((6, len(goals)), np.nan)
         if frame.known.uncertainty is not None and len(rows):
@@ -74,11 +68,9 @@ class ExpectedError(ReadOnlyArrays):
 
 
 def shown_errors(names: Sequence[str], parts: Sequence[Sequence[FloatArray]]) -> dict[tuple[str, str], FloatArray]:
-    """Return errors by name and unit in files, from SI.
+    """Return errors by name and unit in files.
 
-    Args:
-        names: Names of the errors.
-        parts: Errors of positions, each (n,) [m]; then of orientations, if these count, each (n,) [rad].
+    `parts` are errors of positions, each (n,) [m]; then of orientations, if these count, each (n,) [rad].
     """
     kinds: tuple[tuple[str, Dimension], ...] = (("", "length"), ("_angle", "angle"))
     return {

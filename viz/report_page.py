@@ -10,7 +10,6 @@ import platform
 import re
 import shlex
 import sys
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -52,15 +51,6 @@ _PACKAGES = ("pin", "numpy", "scipy", "trimesh", "meshcat", "bokeh")
 _DECIMALS, _MOST_DECIMALS = 4, 9
 _LONGEST_LABEL = 24
 _BESIDE = 2  # plots of the first part of readings beside the robot in space
-
-
-@dataclass(frozen=True)
-class ReportSource:
-    """A file behind the result, and its SHA-256 (or the reason why there is none)."""
-
-    role: str
-    path: str
-    digest: str
 
 
 def report_page(
@@ -161,7 +151,7 @@ def _charts(fit: Fit, scene: ViewerScene | None) -> Charts:
 
 def _space(scene: ViewerScene | None, part: str) -> list[float] | None:
     """RMS distance [mm] before and after of points read in another unit by one instrument; else None."""
-    alike = [] if scene is None else [other for other in scene.others if other.part == part]
+    alike = [] if scene is None else [other for other in scene.others if other["part"] == part]
     return mean_distances(scene, alike[0]) if scene is not None and len(alike) == 1 else None
 
 
@@ -180,28 +170,25 @@ def frame_name(robot: Robot) -> str:
     return base.frame if is_link else "the measurement frame"
 
 
-def sources(fit: Fit) -> list[ReportSource]:
+def sources(fit: Fit) -> list[dict[str, str]]:
     """Return the files behind the fit, with their hashes; the URDF's hash is of the content as read."""
     result = [_source("Robot description", fit.nominal.path)]
     if fit.nominal.urdf.path != fit.nominal.path:
-        result.append(ReportSource("URDF", fit.nominal.urdf.path, hashlib.sha256(fit.nominal.urdf.source).hexdigest()))
+        digest = hashlib.sha256(fit.nominal.urdf.source).hexdigest()
+        result.append({"role": "URDF", "path": fit.nominal.urdf.path, "digest": digest})
     result.append(_source("Measurements to identify with", fit.identification.data.path))
     if fit.validation is not None:
         same = fit.validation.data.path == fit.identification.data.path
-        result.append(
-            _source(
-                "Measurements to validate with" + (", held out of the same file" if same else ""),
-                fit.validation.data.path,
-            )
-        )
+        role = "Measurements to validate with" + (", held out of the same file" if same else "")
+        result.append(_source(role, fit.validation.data.path))
     return result
 
 
-def _source(role: str, path: str) -> ReportSource:
+def _source(role: str, path: str) -> dict[str, str]:
     try:
-        return ReportSource(role, path, hashlib.sha256(Path(path).read_bytes()).hexdigest())
+        return {"role": role, "path": path, "digest": hashlib.sha256(Path(path).read_bytes()).hexdigest()}
     except OSError:
-        return ReportSource(role, path or "not from a file", "no file to hash")
+        return {"role": role, "path": path or "not from a file", "digest": "no file to hash"}
 
 
 def versions() -> list[tuple[str, str]]:

@@ -181,13 +181,8 @@ class ResultComparison:
             {
                 "results": results,
                 "parameters": [
-                    {
-                        "name": difference.name,
-                        "results": difference.rows,
-                        "p_values": difference.p_values,
-                        "real": difference.real,
-                    }
-                    for difference in self.differences
+                    {"name": one.name, "results": one.rows, "p_values": one.p_values, "real": one.real}
+                    for one in self.differences
                 ],
                 "p_values_together": self.joint_p_values,
                 "pairs": [

@@ -166,10 +166,7 @@ class Progress(ReadOnlyArrays):
                     "checks": following.checks,
                     "joints": {name: {"value": value, "unit": unit} for name, value, unit in self._joints(following)},
                     "way": following.travel,
-                    "predicted_mm": {
-                        "before": millimetres(following.before),
-                        "after": millimetres(following.after),
-                    },
+                    "predicted_mm": {when: millimetres(getattr(following, when)) for when in ("before", "after")},
                 },
                 "seconds": self.seconds,
             }

@@ -288,7 +288,7 @@ def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedIma
         caption = f"{each[i]:.2f} px, {on[i]:.2f} mm on the board"
         figures.append((i, figure(shown, small.get(name, b""), caption, arrows)))
     for image in result.outlying_images:  # they belong to no mark of a plot
-        caption = f"left out: {image.rms:.1f} px off"
+        caption = f"left out: {image.rms_px:.1f} px off"
         figures.append((-1, figure(images[image.name], small.get(image.name, b""), caption, is_outlying=True)))
     text = f"Arrows: from where points were found to where they should be, {factor:g} times as long"
     text += "".join(f"\n{number.value}: counts {', '.join(names_of(own))}" for number, own in result.contains.items())

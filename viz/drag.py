@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -208,9 +207,7 @@ class DraggedView:
     def __enter__(self) -> DraggedView:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

@@ -144,24 +144,25 @@ def from_plan(robot: Robot, poses: Poses, hits: tuple[str, ...]) -> PoseTable:
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
     """
-    targets = robot.target_names
-    visits = np.repeat(np.arange(len(poses)), len(targets))
-    unknown = np.full((len(visits), 3), np.nan)
+    visits, columns = _without_readings(robot, poses.joints)
     return PoseTable(
-        joints=poses.joints[visits],
-        measured=unknown,
-        before=robot.positions(poses.joints).reshape(-1, 3),
-        after=unknown,
-        sigma=unknown[:, 0],
-        spread=unknown,
+        **columns,
         group=tuple(COLLIDES if hits[visit] else PLANNED for visit in visits),
         outlier=np.zeros(len(visits), dtype=bool),
         labels=tuple(f"{poses.names[k]}: {hits[k]}" if hits[k] else poses.names[k] for k in visits.tolist()),
-        targets=targets * len(poses),
         readings=np.ones(len(visits), dtype=np.intp),
         series=(poses.path,) * len(visits),
-        place=visits.astype(np.intp),
+        place=visits,
     )
+
+
+def _without_readings(robot: Robot, joints: FloatArray) -> tuple[IntArray, dict[str, Any]]:
+    """The pose of each row, with a row for each pose and target; and columns of positions that nothing measured."""
+    rows = np.repeat(np.arange(len(joints)), len(robot.target_names))
+    unknown = np.full((len(rows), 3), np.nan)
+    columns = dict.fromkeys(("measured", "after", "spread"), unknown) | {"sigma": unknown[:, 0], "joints": joints[rows]}
+    places = {"before": robot.positions(joints).reshape(-1, 3), "targets": robot.target_names * len(joints)}
+    return rows.astype(np.intp), columns | places
 
 
 def noise(fit: Fit) -> Sigmas:
@@ -285,19 +286,14 @@ def _transform_to_first_setup(robot: Robot, instrument: Instrument, setup: int) 
 
 def _predictions(source: _Set) -> PoseTable:
     """One row for each visit and target, with predictions and nothing measured."""
-    data, targets = source.data, source.placed.target_names
-    visits = np.repeat(np.arange(len(data)), len(targets))
-    unknown = np.full((len(visits), 3), np.nan)
+    visits, columns = _without_readings(source.placed, source.data.joints)
+    if source.predictions is not None:
+        known = source.predictions
+        columns |= {"after": known.positions.reshape(-1, 3), "spread": known.std.reshape(-1, 3)}
     marked = {int(visit) for name, own in source.outliers.items() for visit in source.data.readings[name].visits[own]}
     return PoseTable(
-        joints=data.joints[visits],
-        measured=unknown,
-        before=source.placed.positions(data.joints).reshape(-1, 3),
-        after=unknown if source.predictions is None else source.predictions.positions.reshape(-1, 3),
-        sigma=unknown[:, 0],
-        spread=unknown if source.predictions is None else source.predictions.std.reshape(-1, 3),
+        **columns,
         outlier=np.array([visit in marked for visit in map(int, visits)], dtype=bool),
-        targets=targets * len(data),
         **_origin_columns(source, visits),
     )
 

@@ -24,14 +24,9 @@ _GRADES = {"agrees": "PASS", "unlike poses": "CHECK", "too few readings": "CHECK
 def answer_page(
     subject: object, title: str, text: str, figures: Sequence[tuple[int, str]], *, created: datetime | None = None
 ) -> ViewerPage:
-    """Return the page of a result.
+    """Return the page of an `Acceptance`, a `HandEye` or a `Detection`, with the text of the terminal.
 
-    Args:
-        subject: An `Acceptance`, a `HandEye` or a `Detection`.
-        title: Heading of the page.
-        text: The text of the terminal.
-        figures: HTML of pictures, each with the index of its image (-1: none).
-        created: Time to print; default: now.
+    Figures are HTML, each with the index of its image (-1: none). `created` is printed; default: now.
 
     Raises:
         TypeError: `subject` is of another type.
@@ -102,7 +97,6 @@ def _image_charts(result: HandEye) -> Charts:
 
 
 def _new_reading_charts(acceptance: Acceptance) -> Charts:
-    """Errors of new readings, and the changes of parameters behind them."""
     errors, part = acceptance.errors, acceptance.errors.main_part
     scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
     sizes, names = [], []

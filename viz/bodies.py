@@ -100,11 +100,6 @@ class Bodies:
         result: FloatArray = self.poses(robot, pose) @ robot.stretches
         return result
 
-    def exaggerate(self, solid: PosedRobot, ghost: PosedRobot, pose: int, factor: float) -> FloatArray:
-        """Return M(factor) of the module docstring, (n_joints + 1, 4, 4) [m]."""
-        start = self.matrices(solid, pose)
-        return start + factor * (self.matrices(ghost, pose) - start)
-
 
 def bodies_of(robot: Robot) -> Bodies:
     """Return the tree of a robot's mechanism."""

@@ -51,14 +51,10 @@ def axis(
     names: Sequence[str] = (),
     beyond: bool = False,
 ) -> Any:
-    """Return an axis of a panel.
+    """Return an axis with a quantity and unit; by default, its ends are the range of the marks.
 
-    Args:
-        label: Quantity and unit.
-        log: Whether it is logarithmic.
-        ends: Its range; default: the range of the marks.
-        names: Categories, the first at the top or on the left, in place of numbers.
-        beyond: Whether marks beyond the ends of an upright axis are drawn at these.
+    `names` are categories in place of numbers, the first at the top or on the left. `beyond`: marks beyond the ends of
+    an upright axis are drawn at these.
     """
     shown = None if ends is None else [float(value) for value in ends]
     return {"label": label, "log": log, "ends": shown, "names": list(names), "beyond": beyond}
@@ -80,13 +76,10 @@ def panel(
 
 
 def layer(kind: str, label: str = "", colour: str = "", **columns: Any) -> dict[str, Any]:
-    """Return a layer.
+    """Return a layer: `points`, `line`, `bars` (left, right, y), `cells` (x, y, width, height, colours) or `band`.
 
-    Args:
-        kind: `points`, `line`, `bars` (left, right, y), `cells` (x, y, width, height, colours) or `band` (left, right).
-        label: Its entry in the legend; empty: none.
-        colour: Colour of all its marks; empty: the colour of the page's text.
-        columns: Numbers, rows, texts, or colours of its marks.
+    Its label is its entry in the legend, if any; without a colour, it has that of the page's text. Columns are numbers,
+    rows, texts, or colours of its marks.
     """
     return {
         "kind": kind,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -159,7 +158,6 @@ class DraggedView:
             self.note.content = f"not reached: {1e3 * solution.miss_position[0]:.2f} mm short"
 
     def _slider(self, k: int) -> Any:
-        """Add the slider of joint k within its limits."""
         joint, solid = self._shown.scene.joints[k], self._shown.solid
         limits = {one.name: (one.lower, one.upper) for one in solid.urdf.joints}
         ends = [
@@ -209,9 +207,7 @@ class DraggedView:
     def __enter__(self) -> DraggedView:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

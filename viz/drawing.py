@@ -79,7 +79,6 @@ def _draw_shape(path: str, shape: Shape, key: str) -> list[Command]:
 
 
 def _geometry(shape: Shape) -> Command:
-    """The geometry of a shape for three.js."""
     if shape.kind == "box":
         width, height, depth = (float(edge) for edge in shape.size)
         return {"type": "BoxGeometry", "width": width, "height": height, "depth": depth}

@@ -96,7 +96,6 @@ def _load_mesh(name: str, link: str, visual: Visual, origin: FloatArray, urdf_pa
 
 
 def _own_colour(visual: Any) -> Colour:
-    """Main colour of a part of a mesh file."""
     painted = getattr(visual, "material", visual)
     parts = np.ravel(getattr(painted, "main_color", ()))
     if not visual.defined or len(parts) < 3:

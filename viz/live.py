@@ -7,7 +7,6 @@ import json
 import math
 import operator
 import time
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -165,9 +164,7 @@ class LiveViewer:
     def __enter__(self) -> LiveViewer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _repr_html_(self) -> str:

@@ -21,12 +21,7 @@ _BOKEH = ("bokeh", "bokeh-api")
 
 
 def chart_parts(charts: Charts, viewer: str = "") -> dict[str, Any]:
-    """Return the variables of templates of pages with plots.
-
-    Args:
-        charts: The plots.
-        viewer: The viewer's page, shown in a frame; empty: none.
-    """
+    """Return the variables of templates of pages with plots, and with the viewer's page in a frame if it is given."""
     script = script_safe((files("viz") / "templates" / "charts.js").read_text(encoding="utf-8"))
     libraries = [] if not any(charts.by_place.values()) else [(name, *_library(name)) for name in _BOKEH]
     digests = [digest_of_script(script), *(digest for _, _, digest in libraries)]

@@ -49,7 +49,7 @@ def comparison(result_comparison: ResultComparison) -> bytes:
 
 def fleet(learned: Fleet) -> bytes:
     """Return the page of robots of one model side by side."""
-    from viz.fleet_page import fleet_page
+    from viz.comparison_page import fleet_page
     from viz.report_page import command_line
 
     return fleet_page(learned, command=command_line()).html.encode()

@@ -202,7 +202,6 @@ class PlainLinks:
         return [primitive(f"{link}/drum", link, "cylinder", size, along, DARK)]
 
     def _closures(self, link: str) -> list[Shape]:
-        """The joints of loop closures on a link."""
         shapes = []
         for number, kind in enumerate(self._closing_links.get(link, [])):
             name = f"{link}/closure{number}"

@@ -117,14 +117,9 @@ def pose_table_of_errors(
     predictions: PositionUncertainty | None = None,
     outliers: tuple[Outlier, ...] = (),
 ) -> PoseTable:
-    """Return one row, with its errors, for each reading of a point in a set.
+    """Return one row, with its errors, for each reading of a point in a set of a fit.
 
-    Args:
-        fit: The fit.
-        group: Group of the pose table.
-        errors: The set.
-        predictions: Positions that the calibrated robot predicts at each visit, or None.
-        outliers: Outlying readings of the set.
+    `predictions` are positions that the calibrated robot predicts at each visit.
     """
     before, after = (_position_errors(errors, state) for state in ("before", "after"))
     rows = fit.validation_rows if group == VALIDATION else fit.rows
@@ -135,13 +130,7 @@ def pose_table_of_errors(
 def from_measurements(
     data: Measurements, nominal: Robot, calibrated: PredictingRobot | None, sigmas: Sigmas
 ) -> PoseTable:
-    """Return measurements with the predictions of robots for them.
-
-    Args:
-        data: The measurements.
-        nominal: The robot before calibration.
-        calibrated: The robot after calibration with its uncertainty, or None.
-        sigmas: Noise of the instruments.
+    """Return measurements with the predictions for them of the robots before and, if any, after calibration.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -150,34 +139,30 @@ def from_measurements(
 
 
 def from_plan(robot: Robot, poses: Poses, hits: tuple[str, ...]) -> PoseTable:
-    """Return poses without readings, at the positions that a robot predicts.
-
-    Args:
-        robot: The robot.
-        poses: The poses.
-        hits: Colliding pair at each pose, "" for none, (n,).
+    """Return poses without readings, at the positions that a robot predicts; `hits` (n,) are colliding pairs, or "".
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
     """
-    targets = robot.target_names
-    visits = np.repeat(np.arange(len(poses)), len(targets))
-    unknown = np.full((len(visits), 3), np.nan)
+    visits, columns = _without_readings(robot, poses.joints)
     return PoseTable(
-        joints=poses.joints[visits],
-        measured=unknown,
-        before=robot.positions(poses.joints).reshape(-1, 3),
-        after=unknown,
-        sigma=unknown[:, 0],
-        spread=unknown,
+        **columns,
         group=tuple(COLLIDES if hits[visit] else PLANNED for visit in visits),
         outlier=np.zeros(len(visits), dtype=bool),
         labels=tuple(f"{poses.names[k]}: {hits[k]}" if hits[k] else poses.names[k] for k in visits.tolist()),
-        targets=targets * len(poses),
         readings=np.ones(len(visits), dtype=np.intp),
         series=(poses.path,) * len(visits),
-        place=visits.astype(np.intp),
+        place=visits,
     )
+
+
+def _without_readings(robot: Robot, joints: FloatArray) -> tuple[IntArray, dict[str, Any]]:
+    """The pose of each row, with a row for each pose and target; and columns of positions that nothing measured."""
+    rows = np.repeat(np.arange(len(joints)), len(robot.target_names))
+    unknown = np.full((len(rows), 3), np.nan)
+    columns = dict.fromkeys(("measured", "after", "spread"), unknown) | {"sigma": unknown[:, 0], "joints": joints[rows]}
+    places = {"before": robot.positions(joints).reshape(-1, 3), "targets": robot.target_names * len(joints)}
+    return rows.astype(np.intp), columns | places
 
 
 def noise(fit: Fit) -> Sigmas:
@@ -301,19 +286,14 @@ def _transform_to_first_setup(robot: Robot, instrument: Instrument, setup: int) 
 
 def _predictions(source: _Set) -> PoseTable:
     """One row for each visit and target, with predictions and nothing measured."""
-    data, targets = source.data, source.placed.target_names
-    visits = np.repeat(np.arange(len(data)), len(targets))
-    unknown = np.full((len(visits), 3), np.nan)
+    visits, columns = _without_readings(source.placed, source.data.joints)
+    if source.predictions is not None:
+        known = source.predictions
+        columns |= {"after": known.positions.reshape(-1, 3), "spread": known.std.reshape(-1, 3)}
     marked = {int(visit) for name, own in source.outliers.items() for visit in source.data.readings[name].visits[own]}
     return PoseTable(
-        joints=data.joints[visits],
-        measured=unknown,
-        before=source.placed.positions(data.joints).reshape(-1, 3),
-        after=unknown if source.predictions is None else source.predictions.positions.reshape(-1, 3),
-        sigma=unknown[:, 0],
-        spread=unknown if source.predictions is None else source.predictions.std.reshape(-1, 3),
+        **columns,
         outlier=np.array([visit in marked for visit in map(int, visits)], dtype=bool),
-        targets=targets * len(data),
         **_origin_columns(source, visits),
     )
 

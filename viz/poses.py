@@ -128,11 +128,8 @@ def rows_shown(table: PoseTable) -> IntArray:
 def spread_rows(outlier: BoolArray, sizes: list[FloatArray]) -> IntArray:
     """Return the rows of a page, ascending, (n,).
 
-    These are all rows. If there are too many, they are outliers, the largest errors, and others evenly spread.
-
-    Args:
-        outlier: Mask of outliers, (n,).
-        sizes: Sizes of the errors of each state, (n,); NaN where unknown.
+    These are all rows. If there are too many, they are outliers (n,), the largest errors, by the sizes of each state
+    (n,), and others evenly spread.
     """
     n = len(outlier)
     if n <= _MOST_ROWS:

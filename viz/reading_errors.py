@@ -126,12 +126,7 @@ def reading_errors_of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
 def reading_errors_of_measurements(
     data: Measurements, nominal: Robot, calibrated: Robot | None
 ) -> tuple[ReadingErrors, ...]:
-    """Return the errors of all readings other than positions, part by part, against the predictions of robots.
-
-    Args:
-        data: The measurements.
-        nominal: The robot before calibration.
-        calibrated: The robot after calibration, or None.
+    """Return the errors of readings other than positions, part by part, against robots before and after calibration.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -149,7 +144,6 @@ def reading_errors_of_measurements(
 
 
 def _other_parts(robot: Robot, name: str) -> list[Part]:
-    """The parts of an instrument other than positions."""
     return [part for part in robot.instrument(name).parts if not part.is_position]
 
 

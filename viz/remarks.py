@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,39 +19,21 @@ _SIGNATURES, _TEMPERATURE, _TOLERANCE = "signatures", "temperature", "tolerance"
 _RECORD = ("serial number", "instrument", "certificate", "operator", "temperature", "load", "speed", "warm-up")
 _KEYS = (*_RECORD, *CONDITIONS, _SIGNATURES, _TOLERANCE)
 _MOST_LINES, _LONGEST = 6, 240
+_SIMULATED = re.compile(r"\bsimulat", re.IGNORECASE)
 
 
-@dataclass(frozen=True)
-class Remarks:
-    """The comments of one or several measurement files.
+def remarks(*comments: Iterable[str]) -> dict[str, Any]:
+    """Return the comments of measurement files for pages: each line once, shortened if long, on simulation first.
 
-    Attributes:
-        lines: The first comments, shortened if long.
-        more: Number of further comments.
+    `more`: number of further comments. `simulated`: whether a shown line mentions simulation.
     """
-
-    lines: tuple[str, ...]
-    more: int
-
-    @property
-    def simulated(self) -> bool:
-        """Whether a shown line mentions simulation."""
-        return any(re.search(r"\bsimulat", line, re.IGNORECASE) for line in self.lines)
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the remarks as data for the viewer's page."""
-        return {"lines": list(self.lines), "more": self.more, "simulated": self.simulated}
-
-
-def remarks(*comments: Iterable[str]) -> Remarks:
-    """Return the comments of measurement files, each line once, lines on simulation first."""
     lines = list(dict.fromkeys(text for lines in comments for line in lines if (text := " ".join(line.split()))))
-    lines.sort(key=lambda line: re.search(r"\bsimulat", line, re.IGNORECASE) is None)
-    shown = tuple(line if len(line) <= _LONGEST else line[: _LONGEST - 1].rstrip() + "…" for line in lines)
-    return Remarks(shown[:_MOST_LINES], max(0, len(lines) - _MOST_LINES))
+    lines.sort(key=lambda line: not _SIMULATED.search(line))
+    shown = [line if len(line) <= _LONGEST else line[: _LONGEST - 1].rstrip() + "…" for line in lines[:_MOST_LINES]]
+    return {"lines": shown, "more": len(lines) - len(shown), "simulated": any(map(_SIMULATED.search, shown))}
 
 
-def fit_remarks(fit: Fit, *, beside_record: bool = False) -> Remarks:
+def fit_remarks(fit: Fit, *, beside_record: bool = False) -> dict[str, Any]:
     """Return the comments of a fit's files; with `beside_record`, without those in `record` and `signatures`."""
     files = (data.comments for data in _files(fit))
     if not beside_record:
@@ -89,13 +71,9 @@ def _stated_texts(fit: Fit, key: str) -> list[str]:
 
 
 def _temperatures(fit: Fit) -> list[str]:
-    """The range of the column of temperatures, if there is one."""
     values = np.concatenate([data.context.get(_TEMPERATURE, np.zeros(0)) for data in _files(fit)])
     known = values[np.isfinite(values)]
     if not len(known):
         return []
     ends = list(dict.fromkeys(f"{value:.1f}".replace("-", "−") for value in (known.min(), known.max())))
     return [f"{' to '.join(ends)} degC, as read at the poses"]
-
-
-NO_REMARKS = Remarks((), 0)

@@ -10,7 +10,6 @@ import platform
 import re
 import shlex
 import sys
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -54,15 +53,6 @@ _LONGEST_LABEL = 24
 _BESIDE = 2  # plots of the first part of readings beside the robot in space
 
 
-@dataclass(frozen=True)
-class ReportSource:
-    """A file behind the result, and its SHA-256 (or the reason why there is none)."""
-
-    role: str
-    path: str
-    digest: str
-
-
 def report_page(
     fit: Fit,
     *,
@@ -72,15 +62,10 @@ def report_page(
     logo: str = "",
     scene: ViewerScene | None = None,
 ) -> ViewerPage:
-    """Return the report of a fit.
+    """Return the report of a fit, made by a command line.
 
-    Args:
-        fit: The fit.
-        command: Command line that made it.
-        created: Time to print; default: now.
-        viewer: File with the viewer beside the page, to link to; empty: none.
-        logo: Image beside the title, an address from `calib.core.base.files.image_address`; empty: none.
-        scene: The fit's scene, if it exists already.
+    `created` is printed (default: now); `viewer` is the file beside the page, to link to; `logo` is an address from
+    `calib.core.base.files.image_address`; `scene` is the fit's, if it exists already.
     """
     shown = scene_of_fit(fit) if scene is None and fit.assembles else scene
     headline, table, budget, claim = Headline.from_fit(fit), from_fit(fit), budget_table(fit), judge(fit).claim
@@ -131,15 +116,9 @@ def report_page(
 def printed_page(
     template: str, charts: Charts, command: str, created: datetime | None = None, frame: str = "", **content: object
 ) -> ViewerPage:
-    """Return a page for the screen and for paper.
+    """Return a page for the screen and for paper from a template, its plots, and further variables.
 
-    Args:
-        template: Its template.
-        charts: Its plots.
-        command: Command line that made it.
-        created: Time to print; default: now.
-        frame: The viewer's page, shown in a frame; empty: none.
-        content: Further variables of the template.
+    `created` is printed (default: now); `frame` is the viewer's page, shown in a frame.
     """
     when = created if created is not None else datetime.now(UTC)
     about = {"program": PROGRAM, "command": command, "created": when.strftime("%Y-%m-%d %H:%M UTC")}
@@ -149,7 +128,6 @@ def printed_page(
 
 
 def _charts(fit: Fit, scene: ViewerScene | None) -> Charts:
-    """All plots of a report."""
     plots = places(
         parameters=(parameters(fit), dials(fit)),
         budget=(waterfall(fit), joint_shares(fit)),
@@ -173,7 +151,7 @@ def _charts(fit: Fit, scene: ViewerScene | None) -> Charts:
 
 def _space(scene: ViewerScene | None, part: str) -> list[float] | None:
     """RMS distance [mm] before and after of points read in another unit by one instrument; else None."""
-    alike = [] if scene is None else [other for other in scene.others if other.part == part]
+    alike = [] if scene is None else [other for other in scene.others if other["part"] == part]
     return mean_distances(scene, alike[0]) if scene is not None and len(alike) == 1 else None
 
 
@@ -192,28 +170,25 @@ def frame_name(robot: Robot) -> str:
     return base.frame if is_link else "the measurement frame"
 
 
-def sources(fit: Fit) -> list[ReportSource]:
+def sources(fit: Fit) -> list[dict[str, str]]:
     """Return the files behind the fit, with their hashes; the URDF's hash is of the content as read."""
     result = [_source("Robot description", fit.nominal.path)]
     if fit.nominal.urdf.path != fit.nominal.path:
-        result.append(ReportSource("URDF", fit.nominal.urdf.path, hashlib.sha256(fit.nominal.urdf.source).hexdigest()))
+        digest = hashlib.sha256(fit.nominal.urdf.source).hexdigest()
+        result.append({"role": "URDF", "path": fit.nominal.urdf.path, "digest": digest})
     result.append(_source("Measurements to identify with", fit.identification.data.path))
     if fit.validation is not None:
         same = fit.validation.data.path == fit.identification.data.path
-        result.append(
-            _source(
-                "Measurements to validate with" + (", held out of the same file" if same else ""),
-                fit.validation.data.path,
-            )
-        )
+        role = "Measurements to validate with" + (", held out of the same file" if same else "")
+        result.append(_source(role, fit.validation.data.path))
     return result
 
 
-def _source(role: str, path: str) -> ReportSource:
+def _source(role: str, path: str) -> dict[str, str]:
     try:
-        return ReportSource(role, path, hashlib.sha256(Path(path).read_bytes()).hexdigest())
+        return {"role": role, "path": path, "digest": hashlib.sha256(Path(path).read_bytes()).hexdigest()}
     except OSError:
-        return ReportSource(role, path or "not from a file", "no file to hash")
+        return {"role": role, "path": path or "not from a file", "digest": "no file to hash"}
 
 
 def versions() -> list[tuple[str, str]]:

@@ -43,7 +43,6 @@ def forest(
 
 
 def _piece(names: Sequence[str], groups: Sequence[Any], x: Any, band: tuple[str, float] | None) -> dict[str, Any]:
-    """Some lines of a forest."""
     layers = [] if band is None else [layer("band", band[0], COLOURS["before"], left=[-band[1]], right=[band[1]])]
     layers.append(layer("line", x=[0.0, 0.0], y=[-0.5, len(names) - 0.5]))
     room = max(1, (len(groups) + 1) // 2)  # of a name, in lines

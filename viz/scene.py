@@ -17,7 +17,7 @@ from calib.core.fitting.error_sets import STATES
 from calib.core.results.sections.noise import instrument_blocks
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
-from viz.drive import Drive, drive_of
+from viz.drive import drive_data
 from viz.geometry import read_shapes
 from viz.instrument_shapes import instrument_shapes, wires
 from viz.judgement import Judgement
@@ -26,7 +26,7 @@ from viz.pose_sources import from_fit
 from viz.poses import PoseTable, empty, rows_shown
 from viz.reading_errors import ReadingErrors
 from viz.reading_errors import reading_errors_of_fit as readings_of_fit
-from viz.remarks import NO_REMARKS, Remarks, fit_remarks
+from viz.remarks import fit_remarks, remarks
 from viz.shapes import Shape
 from viz.surroundings import surrounding_shapes
 from viz.workspace_map import WorkspaceMap
@@ -37,10 +37,7 @@ _LARGEST_FACTOR = 1000.0
 _LOOKED_AT = 16  # poses of the robot that the first camera shows completely
 _LONGEST_TIP = 0.2  # of the scene: longest part of an enlarged error vector that the first camera shows
 _TURN, _RISE = 0.65, 0.33  # first camera: angle to the side of the points and above them [rad]
-_FLAT, _RISE_FLAT = (
-    0.4,
-    0.8,
-)  # scenes lower than this part of their width are seen from higher up: of no height, by this
+_FLAT, _RISE_FLAT = 0.4, 0.8  # lower scenes [part of their width] are seen from higher up: of no height, by this
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,28 +56,6 @@ class SceneView:
     high: FloatArray
     outline: FloatArray
     direction: FloatArray
-
-
-@dataclass(frozen=True)
-class OtherErrors:
-    """Errors of readings other than positions, of one or several instruments.
-
-    Attributes:
-        instruments: The instruments.
-        part: Part of their readings, such as `contact`.
-        unit: Unit of all numbers.
-        sets: For each set its name, and RMS and largest error before and after calibration.
-    """
-
-    instruments: tuple[str, ...]
-    part: str
-    unit: str
-    sets: tuple[tuple[str, tuple[float, float], tuple[float, float]], ...]
-
-    @property
-    def instrument(self) -> str:
-        """The instrument's name, or the number of instruments, such as `3 instruments`."""
-        return self.instruments[0] if len(self.instruments) == 1 else count_noun(len(self.instruments), "instrument")
 
 
 @dataclass(frozen=True)
@@ -115,10 +90,10 @@ class ViewerScene:
         drive: Data to move the robot by hand.
         notes: Warnings about the picture.
         uncertainty_notes: Sentences on the frame of the numbers, if it could be mistaken.
-        remarks: Comments of the measurement files.
+        remarks: Comments of the measurement files, of `viz.remarks.remarks`.
         verdict: Verdict on the fit, or None.
         map: Uncertainty over the workspace, if requested.
-        others: Errors of readings other than positions, each in its unit.
+        others: Entries of `other_errors`.
     """
 
     title: str
@@ -136,13 +111,13 @@ class ViewerScene:
     vector_factors: tuple[dict[str, float], ...]
     ghost_factor: float
     view: SceneView
-    drive: Drive
+    drive: dict[str, Any]
     notes: tuple[str, ...]
     uncertainty_notes: tuple[str, ...]
-    remarks: Remarks
+    remarks: dict[str, Any]
     verdict: Judgement | None = None
     map: WorkspaceMap | None = None
-    others: tuple[OtherErrors, ...] = ()
+    others: tuple[dict[str, Any], ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -189,21 +164,13 @@ def build_scene(
     verdict: Judgement | None = None,
     notes: tuple[str, ...] = (),
     uncertainty_notes: tuple[str, ...] = (),
-    comments: Remarks = NO_REMARKS,
-    others: tuple[OtherErrors, ...] = (),
+    comments: dict[str, Any] | None = None,
+    others: tuple[dict[str, Any], ...] = (),
 ) -> ViewerScene:
-    """Return the scene of a robot and its poses.
+    """Return the scene of a robot before and, if given, after calibration, at poses (None: at home).
 
-    Args:
-        nominal: The robot before calibration.
-        calibrated: The robot after calibration, or None.
-        poses: Points to show; None: the robot at home.
-        readings: Errors of readings other than positions.
-        verdict: Verdict on the fit.
-        notes: Warnings, in addition to those on the URDF's shapes.
-        uncertainty_notes: Sentences on the frame of the numbers.
-        comments: Comments of the measurement files.
-        others: Errors of readings other than positions.
+    `readings` are errors of readings other than positions, and `others` their sizes; `notes` come before those on the
+    URDF's shapes; `uncertainty_notes` are sentences on the frame of the numbers.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -255,10 +222,10 @@ def build_scene(
         factors,
         1.0 if verdict is not None and verdict.needs_no_correction else nice_factor(moved, _GHOST_SIZE * size),
         replace(view, outline=_outline(around, *_box(around))),
-        drive_of(solid_robot, bodies, shown),
+        drive_data(solid_robot, bodies, shown),
         (*notes, *shape_notes),
         uncertainty_notes,
-        comments,
+        comments or remarks(),
         verdict,
         others=others,
     )
@@ -266,14 +233,12 @@ def build_scene(
 
 def other_errors(
     robot: Robot, blocks: Iterable[Mapping[str, Any]], together: Mapping[str, Any]
-) -> tuple[OtherErrors, ...]:
-    """Return the errors of instruments other than errors of positions, from entries of `result.json`.
+) -> tuple[dict[str, Any], ...]:
+    """Return the errors of a robot's instruments other than errors of positions, from entries of `result.json`.
 
-    Args:
-        robot: The robot of the readings.
-        blocks: The entry `instruments`.
-        together: The entry `errors`, of the main part of all instruments; it comes first if several instruments have
-            that part and it is no position.
+    `blocks` is the entry `instruments`, and `together` the entry `errors`, of the main part of all instruments; it
+    comes first if several instruments have that part and it is no position. Each has the RMS and the largest error of
+    each set, before and after calibration, in its own unit.
     """
     read = [
         (block["name"], part, known.is_position)
@@ -282,21 +247,26 @@ def other_errors(
         if part["errors"]
     ]
     others = [(name, part) for name, part, is_position in read if not is_position]
-    errors = [OtherErrors((name,), part["name"], part["unit"], _sizes(part["errors"])) for name, part in others]
+    errors = [_errors_of([name], part, part["errors"]) for name, part in others]
     if errors and len(others) == len(read):
-        several = tuple(name for name, part in others if part["name"] == errors[0].part)
+        several = [name for name, part in others if part["name"] == errors[0]["part"]]
         if len(several) > 1:
-            return (replace(errors[0], instruments=several, sets=_sizes(together)), *errors)
+            return (_errors_of(several, others[0][1], together), *errors)
     return tuple(errors)
 
 
-def _sizes(errors: Mapping[str, Any]) -> tuple[tuple[str, tuple[float, float], tuple[float, float]], ...]:
-    """Name, RMS and largest error before, and the same after calibration, of each set."""
-
-    def ends(off: Mapping[str, Any]) -> tuple[float, float]:
-        return float(off["rms"]), float(off["max"])
-
-    return tuple((name, ends(off["before"]), ends(off["after"])) for name, off in errors.items())
+def _errors_of(instruments: list[str], part: Mapping[str, Any], errors: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "instruments": instruments,
+        "of": instruments[0] if len(instruments) == 1 else count_noun(len(instruments), "instrument"),
+        "several": len(instruments) > 1,
+        "part": part["name"],
+        "unit": part["unit"],
+        "sets": [
+            {"group": name, **{state: [float(off[state][size]) for size in ("rms", "max")] for state in STATES}}
+            for name, off in errors.items()
+        ],
+    }
 
 
 def joints_of(robot: Robot) -> tuple[ViewerJoint, ...]:

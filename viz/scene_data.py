@@ -14,11 +14,11 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale
 from calib.core.fitting.error_sets import STATES
 from calib.core.instruments.position import POSITION
-from viz.bodies import Bodies, PosedRobot
+from viz.bodies import PosedRobot
 from viz.drawing import body_path, draw
 from viz.poses import COLLIDES, EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, PLANNED, VALIDATION, WORST
 from viz.reading_errors import ReadingErrors
-from viz.scene import OtherErrors, ViewerScene, nice_factor
+from viz.scene import ViewerScene, nice_factor
 from viz.workspace_map import WorkspaceMap
 
 _COLOURS = bytes.fromhex(
@@ -56,40 +56,30 @@ def scene_data(scene: ViewerScene, *, live: bool = False) -> dict[str, Any]:
             *_left_out_notes(len(shown), len(table)),
             *_left_out_notes(n_kept, n),
         ],
-        "remarks": scene.remarks.to_dict(),
+        "remarks": scene.remarks,
         "verdict": None if scene.verdict is None else scene.verdict.to_dict(),
         "groups": [{"name": name, "short": _SHORT[name], "mark": _MARKS[name]} for name in GROUPS],
         "states": list(scene.states),
         "joints": [{"name": joint.name, "unit": joint.unit, "per_si": joint.per_si} for joint in scene.joints],
-        "bodies": _bodies(scene.bodies),
+        "bodies": {
+            **{name: np.asarray(getattr(bodies, name)).tolist() for name in ("parents", "axes", "sliding", "columns")},
+            "base": bodies.base,
+        },
         "body_paths": [body_path(scene, body) for body in range(len(bodies.names))],
         "frames": [{"body": body, "name": bodies.names[body]} for body in names],
         "solid": _posed_data(scene.solid),
         "ghost": None if scene.ghost is None else _posed_data(scene.ghost),
-        "drive": scene.drive.to_dict(),
+        "drive": scene.drive,
         "commands": [base64.b64encode(command).decode() for command in draw(scene)],
         "n_decorations": len(scene.decorations),
         "ghost_factor": scene.ghost_factor,
-        "view": {
-            "low": scene.view.low.tolist(),
-            "high": scene.view.high.tolist(),
-            "outline": scene.view.outline.tolist(),
-            "direction": scene.view.direction.tolist(),
-        },
+        "view": {name: getattr(scene.view, name).tolist() for name in ("low", "high", "outline", "direction")},
         "table": _table(scene),
         "parts": _parts(scene),
         "summary": summary(scene),
         "others": [
-            {
-                "of": other.instrument,
-                "several": len(other.instruments) > 1,
-                "part": other.part,
-                "unit": other.unit,
-                "sets": [
-                    {"group": name, "before": list(before), "after": list(after)} for name, before, after in other.sets
-                ],
-                "space": mean_distances(scene, other),
-            }
+            {name: value for name, value in other.items() if name != "instruments"}
+            | {"space": mean_distances(scene, other)}
             for other in scene.others
         ],
         "certainty": certainty(scene),
@@ -97,16 +87,6 @@ def scene_data(scene: ViewerScene, *, live: bool = False) -> dict[str, Any]:
         "colours": _encode(colours()),
         "point_radius": point_radius(scene),
         "point_pixels": point_pixels(max((len(rows) for rows in rows_of(scene)), default=0)),
-    }
-
-
-def _bodies(bodies: Bodies) -> dict[str, Any]:
-    return {
-        "parents": bodies.parents.tolist(),
-        "axes": bodies.axes.tolist(),
-        "sliding": list(bodies.sliding),
-        "columns": bodies.columns.tolist(),
-        "base": bodies.base,
     }
 
 
@@ -254,23 +234,22 @@ def _parts(scene: ViewerScene) -> list[dict[str, Any]]:
     return parts
 
 
-def mean_distances(scene: ViewerScene, other: OtherErrors) -> list[float] | None:
+def mean_distances(scene: ViewerScene, other: Mapping[str, Any]) -> list[float] | None:
     """Return the RMS distance [mm] of observed points before and after, for readings in another unit.
 
     Validation readings count if there are any; None for readings without a distance.
     """
-    if sum(map(len, scene.readings)) != scene.n_readings or other.unit in ("mm", "mrad"):
+    if sum(map(len, scene.readings)) != scene.n_readings or other["unit"] in ("mm", "mrad"):
         return None
-    sets = [name for name, *_ in other.sets]
-    group = VALIDATION if VALIDATION in sets else IDENTIFICATION
+    group = VALIDATION if VALIDATION in (one["group"] for one in other["sets"]) else IDENTIFICATION
     for errors in scene.readings:
         chosen = np.array(
             [
-                target.split(" ")[0] in other.instruments and of == group
+                target.split(" ")[0] in other["instruments"] and of == group
                 for target, of in zip(errors.targets, errors.group, strict=True)
             ]
         )
-        if errors.part.name == other.part and not errors.turns and np.any(chosen):
+        if errors.part.name == other["part"] and not errors.turns and np.any(chosen):
             squares = (np.sum(errors.arrows(state)[chosen] ** 2, axis=1) for state in STATES)
             return [_MM * float(np.sqrt(np.nanmean(square))) for square in squares]
     return None

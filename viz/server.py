@@ -75,12 +75,9 @@ class PageServer:
             return len(self._browsers)
 
     def send(self, event: str, data: str, keep: str | None = None) -> None:
-        """Send a message to every browser, without waiting.
+        """Send a message of one line to every browser, without waiting.
 
-        Args:
-            event: Kind of message.
-            data: One line of text.
-            keep: Key under which the message is kept for later browsers; it replaces an earlier message.
+        Under `keep`, it is kept for later browsers, in place of an earlier one.
         """
         message = f"event: {event}\ndata: {data}\n\n".encode()
         with self._lock:

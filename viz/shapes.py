@@ -95,13 +95,7 @@ def mesh(
     colour: Colour = GREY,
     T_body_shape: FloatArray | None = None,
 ) -> Shape:
-    """Return a triangle mesh; the arguments are attributes of `Shape`.
-
-    Args:
-        vertices: Corners, (n, 3) [m].
-        faces: Vertex indices of each triangle, (m, 3).
-        T_body_shape: Pose of the mesh in its link, (4, 4) [m]; None: identity.
-    """
+    """Return a mesh of corners (n, 3) [m] and triangles of their indices (m, 3), at a pose in its link (4, 4) [m]."""
     return Shape(
         name,
         body,
@@ -115,16 +109,7 @@ def mesh(
 
 
 def thin(vertices: FloatArray, faces: IntArray, most: int) -> tuple[FloatArray, IntArray]:
-    """Return a mesh with at most `most` faces, by merging vertices in the cells of a grid that is as fine as possible.
-
-    Args:
-        vertices: Corners, (n, 3) [m].
-        faces: Vertex indices of each triangle, (m, 3).
-        most: Largest number of triangles.
-
-    Returns:
-        Vertices and faces in the same form; the arguments if there are few enough.
-    """
+    """Return corners (n, 3) [m] and at most `most` triangles (m, 3); a grid, as fine as possible, merges corners."""
     cells = 512
     fewer_vertices, fewer = vertices, faces
     while len(fewer) > most:

@@ -39,7 +39,6 @@ def surrounding_shapes(robot: Robot) -> tuple[Shape, ...]:
 
 
 def _body(robot: Robot, frame: str | None) -> str:
-    """The link of the picture that carries a frame."""
     joint = 0 if frame is None else robot.mechanism.joint(frame)
     return next(link for link in robot.urdf.links if robot.mechanism.frames.get(link) == joint)
 

@@ -95,11 +95,8 @@ def viewer_scripts() -> tuple[str, str]:
 def scene_page(scene: ViewerScene, *, live: bool = False, report: str = "", embedded: bool = False) -> ViewerPage:
     """Return the viewer page of a scene.
 
-    Args:
-        scene: The scene.
-        live: Whether the page listens to the server that sends it.
-        report: File with the report beside the page, to link to; empty: none.
-        embedded: Whether the page is in a frame of another page, which has controls of its own.
+    `live`: it listens to the server that sends it. `report` is the report beside it, to link to. `embedded`: it is in a
+    frame of another page, which has controls of its own.
     """
     folder = files("viz") / "templates"
     meshcat, script = viewer_scripts()

@@ -51,13 +51,7 @@ class WorkspaceMap(ReadOnlyArrays):
 
 
 def workspace_map(calibrated: PredictingRobot, nominal: Robot, table: PoseTable, count: int) -> WorkspaceMap:
-    """Return the map of errors and uncertainty over the workspace.
-
-    Args:
-        calibrated: The calibrated robot.
-        nominal: The robot before calibration, placed.
-        table: Measured poses.
-        count: Number of poses to draw.
+    """Return the map at `count` poses, of a calibrated robot beside the placed robot before calibration.
 
     Raises:
         DataError: A sliding joint has no limits, or hardly any pose can be assembled.

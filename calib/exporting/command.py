@@ -126,7 +126,6 @@ def command(
 
 
 def _origin_of_values(parameters: str | None, result: str | None) -> list[str]:
-    """Lines on the origin of the values for the comment in the URDF."""
     if parameters:
         return [f"values: {parameters}"]
     if not result:

@@ -104,11 +104,7 @@ def free_directions(robot: Robot, loop: int) -> tuple[Component, ...]:
 
 
 def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
-    """Return the gap of every closure in every direction that it leaves free.
-
-    Args:
-        robot: The robot, with its current parameter values.
-        q: Poses, (n, n_actuated) [m or rad]; default: `poses_near_home`.
+    """Return the gap of every closure in every direction that it leaves free, at poses (n, n_actuated) [m or rad].
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.

@@ -54,11 +54,7 @@ class Mjcf:
 
 
 def mjcf(model: ClosedModel, path: Path | str = "robot.xml", provenance: Sequence[str] = ()) -> Mjcf:
-    """Return the MJCF file and the meshes that had to be converted for it.
-
-    Args:
-        path: Path of the file; mesh files are named relative to its folder.
-        provenance: Further lines of the comment on the origin of the numbers.
+    """Return the MJCF file, and the meshes that had to be converted for it, named relative to the folder of `path`.
 
     Raises:
         InputError: A link other than the root is named `world`, which MuJoCo reserves.

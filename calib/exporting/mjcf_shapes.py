@@ -60,7 +60,6 @@ class MjcfShapes:
             self._geom(body, shape, {"group": "3"})
 
     def _rods(self, body: Element, ends: list[FloatArray], role: dict[str, str]) -> None:
-        """Draw a link as rods to its joints."""
         for end in ends:
             length = float(np.linalg.norm(end))
             if length > 0:
@@ -134,7 +133,6 @@ class MjcfShapes:
 
 
 def _obj_by_colour(path: Path) -> Iterator[tuple[tuple[float, ...], bytes]]:
-    """Yield the parts of a mesh file by colour, as OBJ."""
     import trimesh
 
     scene: Any = trimesh.load(path, force="scene")
@@ -155,7 +153,6 @@ def _obj_by_colour(path: Path) -> Iterator[tuple[tuple[float, ...], bytes]]:
 
 
 def _colour(visual: Any) -> tuple[float, ...]:
-    """Main colour of a part of a mesh file."""
     parts = np.ravel(getattr(getattr(visual, "material", visual), "main_color", ()))
     if not visual.defined or len(parts) < 3:
         return _GREY
@@ -163,11 +160,7 @@ def _colour(visual: Any) -> tuple[float, ...]:
 
 
 def add_surroundings(world: Element, points: FloatArray) -> None:
-    """Add a lamp above the robot, and a floor below that collides with nothing.
-
-    Args:
-        points: Origins of the links' frames at home, (n, 3) [m].
-    """
+    """Add a lamp above the links' frames at home, (n, 3) [m], and a floor below that collides with nothing."""
     size = round(max(float(np.max(np.abs(points))), 0.1), 3)  # millimetres suffice; more digits would be rounding
     low, high = (round(float(end), 3) for end in (np.min(points[:, 2]), np.max(points[:, 2])))
     SubElement(world, "light", name="lamp", pos=numbers((0.0, -size, high + 2 * size)), dir="0 0.4 -1")

@@ -46,10 +46,7 @@ class SerialChain:
 
 
 def serial_chain(robot: Robot, mechanism: Mechanism) -> SerialChain:
-    """Return the chain to the first target of a robot that motors move.
-
-    Args:
-        mechanism: Its nominal or its current mechanism.
+    """Return the chain to the first target of a robot that motors move, in its nominal or its current mechanism.
 
     Raises:
         InputError: The robot is no chain of joints with motors.
@@ -144,10 +141,8 @@ def judging_poses(robot: Robot) -> tuple[FloatArray, str]:
 def remainder(robot: Robot, chain: SerialChain, forward: Callable[[FloatArray], FloatArray]) -> Remainder:
     """Return the errors of a format, compared with the robot.
 
-    Args:
-        robot: The robot, with its current values.
-        forward: Function from values of the chain's joints, (n, n_joints) [m or rad], to the format's poses of the tip
-            in the base, (n, 4, 4) [m].
+    `forward` gives the format's poses of the tip in the base, (n, 4, 4) [m], from values of the chain's joints, (n,
+    n_joints) [m or rad].
     """
     q, where = judging_poses(robot)
     columns = [robot.joint_names.index(joint.name) for joint in chain.joints]

@@ -49,13 +49,7 @@ def calibrated_description(robot: Robot, urdf_name: str) -> Description:
 
 
 def toolbox_yaml(robot: Robot, urdf_name: str, provenance: Sequence[str] = ()) -> bytes:
-    """Return `robot.yaml`, with comments.
-
-    Args:
-        robot: The robot, with its current values.
-        urdf_name: Name of the URDF beside it (the toolbox expects `robot.urdf`).
-        provenance: Further lines of the comment on the origin of the numbers.
-    """
+    """Return `robot.yaml`, with comments; the toolbox expects the URDF beside it to be called `robot.urdf`."""
     description = calibrated_description(robot, urdf_name)
     lines = ["calib: robot description, for Pinocchio's toolbox-parallel-robots as well", *provenance]
     lines += provenance_lines(robot)

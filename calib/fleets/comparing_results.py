@@ -45,7 +45,7 @@ from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.result_content import to_dict
 from calib.core.results.result_reading import load_result
 from calib.core.robots.robot import Robot
-from calib.fleets.comparison_report import Difference, Pair, ResultComparison
+from calib.fleets.comparison_report import ComparedResult, Difference, Pair, ResultComparison
 
 _OWN = 1e-3  # a difference with less than this part of both variances comes from the prior alone
 _ERRORS = {
@@ -116,16 +116,8 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     places = {p.name for result in loaded for p in result.loaded.robot.parameters if p.placement}
     real = [{name for name, p in zip(names, p_values, strict=True) if p < HARDLY} for p_values in corrected]
     rows = [{row["name"]: row for row in result.loaded.content["parameters"]} for result in loaded]
-    errors, unit, where, sizes = _errors(loaded)
     return ResultComparison(
-        tuple(result.name for result in loaded),
-        tuple(None if isinstance(result, Fit) else str(result) for result in results),
-        tuple(result.grade for result in loaded),
-        tuple(result.loaded.content["n_poses"] for result in loaded),
-        errors,
-        unit,
-        where,
-        sizes,
+        _compared(results, loaded),
         tuple(
             Difference(
                 name,
@@ -235,30 +227,31 @@ def _common_parameters(result: _Result, common: Sequence[str]) -> tuple[FloatArr
     return robot.values[at], result.loaded.uncertainty.covariance[np.ix_(place, place)], np.array(sigma)
 
 
-def _errors(
-    results: Sequence[_Result],
-) -> tuple[tuple[float, ...], str, tuple[str, ...], tuple[FloatArray, ...]]:
-    """Root mean square errors of each, if possible on readings that none used and all predicted.
-
-    They come with their unit, their readings, and the sizes of errors on common readings.
-    """
+def _compared(given: Sequence[Fit | Path | str], results: Sequence[_Result]) -> tuple[ComparedResult, ...]:
+    """Each result with its root mean square error, if possible on readings that none used and all predicted."""
     unit = results[0].loaded.content["instruments"][0]["parts"][0]["unit"]
     unseen = [result.readings.get("validation", {}) for result in results]
     shared = set(unseen[0]).intersection(*unseen[1:])
     same = [key for key in unseen[0] if key in shared and np.isfinite(unseen[0][key])]
-    if same:
-        sizes = tuple(np.sqrt([squares[key] for key in same]) for squares in unseen)
-        rms = tuple(float(np.sqrt(np.mean(errors**2))) for errors in sizes)
-        return rms, unit, (f"the same {count_noun(len(same), 'reading')} not used",) * len(results), sizes
-    values, where = [], []
-    for result in results:
-        best = next((name for name in _ERRORS if name in result.loaded.content["errors"]), None)
-        if best is None:
-            raise DataError(f"{result.name}: its result.json has no errors; run the fit again")
-        value = result.loaded.content["errors"][best]["after"]["rms"]
-        claim = result.loaded.content["verdict"].get("claim")
-        if best == "identification" and claim and claim["unit"] == unit:  # errors at used readings are always smaller
-            best, value = "cross_validation", claim["rms"]
-        values.append(np.nan if value is None else float(value))
-        where.append(_ERRORS[best])
-    return tuple(values), unit, tuple(where), ()
+    compared = []
+    for one, result, squares in zip(given, results, unseen, strict=True):
+        content, sizes = result.loaded.content, np.sqrt([squares[key] for key in same])
+        if same:
+            rms, on = float(np.sqrt(np.mean(sizes**2))), f"the same {count_noun(len(same), 'reading')} not used"
+        else:
+            rms, on = _own_error(result, unit)
+        folder = None if isinstance(one, Fit) else str(one)
+        compared.append(ComparedResult(result.name, folder, result.grade, content["n_poses"], rms, unit, on, sizes))
+    return tuple(compared)
+
+
+def _own_error(result: _Result, unit: str) -> tuple[float, str]:
+    """Root mean square error of a result on its own readings, and which these are."""
+    content = result.loaded.content
+    best = next((name for name in _ERRORS if name in content["errors"]), None)
+    if best is None:
+        raise DataError(f"{result.name}: its result.json has no errors; run the fit again")
+    value, claim = content["errors"][best]["after"]["rms"], content["verdict"].get("claim")
+    if best == "identification" and claim and claim["unit"] == unit:  # errors at used readings are always smaller
+        best, value = "cross_validation", claim["rms"]
+    return np.nan if value is None else float(value), _ERRORS[best]

@@ -75,56 +75,66 @@ class Pair:
         return f"{' and '.join(self.names)}: {outcome} (all together p {p_text(self.together)}){places}."
 
 
+@dataclass(frozen=True, eq=False)
+class ComparedResult:
+    """One of the results.
+
+    Attributes:
+        name: The part of its folder's name that the others do not have; `fit 1` for a fit.
+        folder: Its folder, as the caller wrote it; None for a fit.
+        verdict, n_poses: Its verdict and number of poses.
+        rms, unit: Root mean square error after calibration, on unused readings where there are any.
+        on: Readings of this error.
+        sizes: Error of each reading after calibration, in that unit, on common readings that no result used, (n,);
+            empty where there are none.
+    """
+
+    name: str
+    folder: str | None
+    verdict: str
+    n_poses: int
+    rms: float
+    unit: str
+    on: str
+    sizes: FloatArray
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ResultComparison:
     """Results side by side, compared in pairs.
 
     Attributes:
-        names: Parts of the folders' names that differ; `fit 1` for a fit.
-        folders: Folders of the results, as the caller wrote them; None for a fit.
-        verdicts, n_poses: Verdict and number of poses of each.
-        errors: Root mean square error after calibration of each, on unused readings where there are any.
-        unit: Unit of these errors.
-        errors_on: Readings of each error.
-        sizes: Error of each reading after calibration, in that unit, of each result on common readings that none of
-            them used; empty where there are none.
+        results: The results.
         differences: One for each parameter.
         pairs: Differences of the two results of each pair, pairs with the first result first.
         notes: Remarks for users.
     """
 
-    names: tuple[str, ...]
-    folders: tuple[str | None, ...]
-    verdicts: tuple[str, ...]
-    n_poses: tuple[int, ...]
-    errors: tuple[float, ...]
-    unit: str
-    errors_on: tuple[str, ...]
-    sizes: tuple[FloatArray, ...]
+    results: tuple[ComparedResult, ...]
     differences: tuple[Difference, ...]
     pairs: tuple[Pair, ...]
     notes: tuple[str, ...]
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the results."""
+        return tuple(result.name for result in self.results)
+
+    @property
     def joint_p_values(self) -> tuple[float, ...]:
         """Joint p-value of all parameters of the robot, against the first result, for each of the others."""
-        return tuple(pair.together for pair in self.pairs[: len(self.names) - 1])
+        return tuple(pair.together for pair in self.pairs[: len(self.results) - 1])
 
     def __repr__(self) -> str:
         real = sum(any(difference.real) for difference in self.differences)
-        return f"<comparison of {len(self.names)} results: {real} of {len(self.differences)} parameters differ>"
+        return f"<comparison of {len(self.results)} results: {real} of {len(self.differences)} parameters differ>"
 
     def __str__(self) -> str:
         return self.report()
 
     def report(self) -> str:
         """Return the comparison as text: the differences in words, then a table of them, the surest first."""
-        heads = [
-            f"{name}: {verdict}, {poses} poses, {error:.4g} {self.unit} RMS on {where}"
-            for name, verdict, poses, error, where in zip(
-                self.names, self.verdicts, self.n_poses, self.errors, self.errors_on, strict=True
-            )
-        ]
+        heads = [f"{r.name}: {r.verdict}, {r.n_poses} poses, {r.rms:.4g} {r.unit} RMS on {r.on}" for r in self.results]
         ranked = self.rank_differences()
         table = text_table(("parameter", "unit", *self.names, "p"), ("parameter", "unit"), plain=True)
         for column in table.columns:
@@ -166,29 +176,13 @@ class ResultComparison:
 
     def to_dict(self) -> dict[str, object]:
         """Return the comparison for `--json`, in the units of tables; null where there is no test."""
-        results = zip(self.names, self.folders, self.verdicts, self.n_poses, self.errors, self.errors_on, strict=True)
+        results = [{key: value for key, value in vars(r).items() if key != "sizes"} for r in self.results]
         return as_data(
             {
-                "results": [
-                    {
-                        "name": name,
-                        "folder": folder,
-                        "verdict": verdict,
-                        "n_poses": poses,
-                        "rms": rms,
-                        "unit": self.unit,
-                        "on": where,
-                    }
-                    for name, folder, verdict, poses, rms, where in results
-                ],
+                "results": results,
                 "parameters": [
-                    {
-                        "name": difference.name,
-                        "results": difference.rows,
-                        "p_values": difference.p_values,
-                        "real": difference.real,
-                    }
-                    for difference in self.differences
+                    {"name": one.name, "results": one.rows, "p_values": one.p_values, "real": one.real}
+                    for one in self.differences
                 ],
                 "p_values_together": self.joint_p_values,
                 "pairs": [

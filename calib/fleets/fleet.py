@@ -23,8 +23,8 @@ from calib.core.results.result_reading import load_result
 from calib.core.robots.description import description_yaml
 from calib.core.robots.robot import Robot
 from calib.fleets.comparing_results import geometry
+from calib.fleets.contradicted_prior import evidence_of_fit, section_of, shared_parameters, without_fleet
 from calib.fleets.hierarchy import FleetComparison, Hierarchy, learn_without_odd
-from calib.fleets.shared_parameters import evidence_of_fit, section_of, shared_parameters, without_fleet
 from calib.fleets.ur_files import is_calibration, result_of_calibration
 
 _WIDTH = 118

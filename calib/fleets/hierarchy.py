@@ -126,14 +126,10 @@ class FleetComparison(ReadOnlyArrays):
 def evidence_of_data(
     covariance: FloatArray, u: FloatArray, prior: FloatArray, mean: FloatArray, freedom: float
 ) -> FleetEvidence:
-    """Return the evidence of the data alone, from an estimate with a prior: C^-1 minus the prior's precision.
+    """Return the evidence of the data alone, from an estimate u (n,) with a prior: C^-1 minus the prior's precision.
 
-    Args:
-        covariance: C of the scaled estimate, (n, n).
-        u: The estimate, (n,).
-        prior: Precision of the prior, (n, n); 0 for parameters without a prior.
-        mean: Mean of the prior, (n,).
-        freedom: Degrees of freedom of the estimated noise, by which the covariance is widened as Student's t.
+    C is the covariance, (n, n); the prior has a precision (n, n), 0 for parameters without a prior, and a mean (n,).
+    The noise has degrees of freedom, by which the covariance is widened as Student's t.
     """
     inverse = np.linalg.inv(covariance)
     sizes, axes = linalg.eigh((inverse - prior + (inverse - prior).T) / 2)
@@ -144,12 +140,7 @@ def evidence_of_data(
 
 
 def learn(results: Sequence[FleetEvidence], kinds: IntArray, start: FloatArray | None = None) -> Hierarchy:
-    """Estimate mean and spread; see the module docstring.
-
-    Args:
-        kinds: Kind of each parameter, from 0, (n,).
-        start: Variances t^2 to start from, (n,).
-    """
+    """Estimate mean and spread of parameters by kind, from 0, (n,), starting from variances t^2 (n,)."""
     variance = np.full(len(kinds), 0.1) if start is None else start.copy()
     for _ in range(_ROUNDS):
         mean, covariance, estimates, spreads = _estimate_given_variance(results, variance)
@@ -206,12 +197,8 @@ def _estimate_variance(result: FleetEvidence, variance: FloatArray, covariance: 
 def compare_with_fleet(
     result: FleetEvidence, mean: FloatArray, expected: FloatArray, freedom: FloatArray
 ) -> FleetComparison:
-    """Compare a result with what the other results predict.
-
-    Args:
-        mean: Prediction of the others, (n,).
-        expected: Covariance of the prediction, (n, n).
-        freedom: f of the module docstring, (n,).
+    """Compare a result with what the others predict: mean (n,) with covariance (n, n), and f of the module docstring
+    (n,).
     """
     deviation = result.information_vector - result.precision @ mean
     before = np.linalg.inv(expected)

@@ -40,10 +40,6 @@ def is_calibration(path: Path | str) -> bool:
 def result_of_calibration(path: Path | str, folder: Path) -> None:
     """Write the result folder of a robot from its maker's calibration.
 
-    Args:
-        path: The file of the calibration.
-        folder: The result folder.
-
     Raises:
         DataError: The robot is of no known type.
         UrdfError: The file is not a calibration, or fits a known type only with the other sign of a number.

@@ -132,12 +132,10 @@ def views(scene: BoardScene) -> FloatArray:
 
 
 def _matrix(intrinsics: FloatArray) -> FloatArray:
-    """The camera matrix of OpenCV, (3, 3)."""
     return np.array([[intrinsics[0], 0.0, intrinsics[2]], [0.0, intrinsics[1], intrinsics[3]], [0.0, 0.0, 1.0]])
 
 
 def _pose(turn: FloatArray, place: FloatArray) -> FloatArray:
-    """The pose of OpenCV's rotation vector and position, (4, 4)."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = opencv().Rodrigues(turn)[0], np.ravel(place)
     return pose

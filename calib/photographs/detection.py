@@ -416,7 +416,6 @@ def _numbered(places: FloatArray) -> dict[str, FloatArray]:
 
 
 def _blobs(image: GreyImage) -> Any:
-    """Detector of dots in an image."""
     cv2 = opencv()
     settings = cv2.SimpleBlobDetector_Params()
     settings.maxArea = image.size / 50

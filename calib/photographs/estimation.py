@@ -24,8 +24,7 @@ import scipy
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.core.numerics import linalg
-from calib.photographs.arm_errors import arm_twists
-from calib.photographs.intervals import intervals
+from calib.photographs.intervals import arm_twists, intervals
 from calib.photographs.scene import (
     POSES,
     BoardScene,

@@ -28,13 +28,9 @@ _AHEAD, _FACING = 0.93, 0.6  # least cosines of the line of sight to the camera'
 def camera_words(
     robot: Robot, board: str | None, camera: str | None, to_print: Path | None, out: Path
 ) -> tuple[dict[Path, bytes], dict[str, str]]:
-    """Return the board's file, unless it exists, and the entries of board and camera in the description.
+    """Return the board's file, unless it exists, and the entries of board and camera in the description at `out`.
 
-    Args:
-        robot: The robot; its description has neither board nor camera yet.
-        board, camera: Values of the user's options, or None.
-        to_print: File for the board, or None.
-        out: Path of the description.
+    The robot has neither board nor camera yet; `board` and `camera` are the user's options.
     """
     described = read_board_option(_BOARD if board is None else board)
     given = None if camera is None else read_camera(camera)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import scipy
@@ -77,8 +77,8 @@ def judge(result: HandEye) -> HandEyeJudgement:
     reasons = [mistake.text for mistake in result.mistakes if not mistake.whole]
     for image in result.outlying_images:
         reasons.append(
-            f"image {image.name} is off by {image.rms:.0f} px, as if the tool were {_MM * image.shift:.1f} mm and"
-            f" {np.rad2deg(image.turn):.2f} deg elsewhere; it was left out: look at it, and at its pose"
+            f"image {image.name} is off by {image.rms_px:.0f} px, as if the tool were {_MM * image.shift_m:.1f} mm"
+            f" and {np.rad2deg(image.turn_rad):.2f} deg elsewhere; it was left out: look at it, and at its pose"
         )
     gone, points = len(result.points_off), len(result.points_off) + len(scene.pixels)
     if gone > _MANY * points:
@@ -152,9 +152,7 @@ def report(result: HandEye, frames: Frames) -> str:
         f" {_MM * errors.mean():.3f} mm, largest {_MM * errors.max():.3f} mm ({len(scene.pixels)} points)"
     )
     if result.points_off:
-        named = [
-            f"{p.image} at {p.pixel[0]:.0f}, {p.pixel[1]:.0f} px ({p.distance:.1f} px off)" for p in result.points_off
-        ]
+        named = [f"{p.image} at {p.u:.0f}, {p.v:.0f} px ({p.distance_px:.1f} px off)" for p in result.points_off]
         lines.append(
             f"Points left out, which do not fit the others of their image: {len(named)} of"
             f" {len(named) + len(scene.pixels)}: {listing(named, '; ', 2)}"
@@ -232,14 +230,8 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
             {"name": name, "points": int(n), "rms_px": px, "left_out_px": lpx, "rms_m": mm, "left_out_m": lmm}
             for name, n, px, lpx, mm, lmm in images
         ],
-        "set_aside": [
-            {"name": image.name, "rms_px": image.rms, "shift_m": image.shift, "turn_rad": image.turn}
-            for image in result.outlying_images
-        ],
-        "points_left_out": [
-            {"image": point.image, "u": point.pixel[0], "v": point.pixel[1], "distance_px": point.distance}
-            for point in result.points_off
-        ],
+        "set_aside": [asdict(image) for image in result.outlying_images],
+        "points_left_out": [asdict(point) for point in result.points_off],
         "mistakes": [{"code": mistake.code, "text": mistake.text} for mistake in result.mistakes],
     }  # fmt: skip
 

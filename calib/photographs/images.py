@@ -58,9 +58,7 @@ class Shot:
 def shots(sources: Sequence[str], topic: str | None = None) -> list[Shot]:
     """Return the images of files, folders, patterns and bags, in the order of their names.
 
-    Args:
-        sources: Files, folders, patterns and bags.
-        topic: Topic of the images in a bag; required for several.
+    A topic is required for a bag with images of several.
 
     Raises:
         InputError: No images, or two images of one name.

@@ -29,33 +29,22 @@ _FEWEST = 5  # images that must stay if another is left out
 
 @dataclass(frozen=True)
 class OffPoint:
-    """A point that does not fit the others of its image.
-
-    Attributes:
-        image: Name of the image.
-        pixel: Its pixel [px].
-        distance: Distance from the prediction of the other points [px].
-    """
+    """A point that does not fit the others of its image, and its distance from their prediction."""
 
     image: str
-    pixel: tuple[float, float]
-    distance: float
+    u: float
+    v: float
+    distance_px: float
 
 
 @dataclass(frozen=True)
 class OffImage:
-    """An image that does not fit the others.
-
-    Attributes:
-        name: Name of the image.
-        rms: RMS error of its points [px].
-        shift, turn: Motion of the robot's tool that would make it fit [m], [rad].
-    """
+    """An image that does not fit the others, and the motion of the robot's tool that would make it fit."""
 
     name: str
-    rms: float
-    shift: float
-    turn: float
+    rms_px: float
+    shift_m: float
+    turn_rad: float
 
 
 def fitting_points(begin: Start, intrinsics: FloatArray) -> tuple[Start, tuple[OffPoint, ...]]:
@@ -63,7 +52,7 @@ def fitting_points(begin: Start, intrinsics: FloatArray) -> tuple[Start, tuple[O
     scene = begin.scene
     far = point_errors(scene, intrinsics, LENS_NUMBERS)
     off = [
-        OffPoint(scene.names[scene.image[k]], (float(scene.pixels[k, 0]), float(scene.pixels[k, 1])), float(far[k]))
+        OffPoint(scene.names[scene.image[k]], *map(float, (*scene.pixels[k], far[k])))
         for k in np.argsort(-far, kind="stable")[: np.count_nonzero(far)]
     ]
     return Start(scene.with_points(far == 0), begin.placed), tuple(off)
@@ -133,4 +122,4 @@ def images_far_off(scene: BoardScene, kept: BoolArray, begin: Start) -> tuple[Of
         error = linalg.lstsq(linear.gg[i], linear.gr[i], rcond=1e-9)
         shift, turn = map(float, np.linalg.norm(error.reshape(2, 3), axis=1))
         named.append(OffImage(scene.names[i], float(off[i]), shift, turn))
-    return tuple(sorted(named, key=lambda image: -image.rms))
+    return tuple(sorted(named, key=lambda image: -image.rms_px))

@@ -1,7 +1,6 @@
 """Mistakes that would explain the residuals of a hand-eye calibration.
 
-    other readings         pairs shifted, poses inverted, rotations in another order, other units
-                           (`calib.photographs.other_readings`)
+    other readings         of the file's numbers; see below
     square size            the board is larger or smaller than described: fitted as a further unknown
     exchanged              camera and board are where the other mount and inverted poses put them
     something moved        board or camera is elsewhere from some image on: fitted as six further unknowns
@@ -11,6 +10,17 @@
 Other readings, and another size of the board, are solved anew from closed forms if an image is further off than robots
 are; they count if they halve the residuals. Square size and moves are a further step of the same least squares; they
 count if they raise the likelihood by more than chance does in one data set of ten thousand, and if their size matters.
+
+Other readings, each a usual mistake in files:
+
+    pairs shifted     images belong to the poses one or two rows later or earlier
+    mirrored          the camera mirrors its images (a chessboard does not show it)
+    poses inverted    the file has the base in the tool. With the other mount, the same images fit as well: this shows
+                      only if the mount is stated
+    rotations         the numbers of a rotation in another order, or of the base in the tool
+    units             lengths of poses and board differ by a factor between units
+
+A rotation is converted back to the numbers of the file, which are then read in another way.
 """
 
 from __future__ import annotations
@@ -29,7 +39,6 @@ from calib.core.numerics.clusters import shifts_without_block
 from calib.photographs.camera_alone import camera_alone
 from calib.photographs.estimation import HandEyeEstimate, estimate, predict_left_out_images, rms, solve
 from calib.photographs.lens_choice import free_lens, unlikely
-from calib.photographs.other_readings import other_readings
 from calib.photographs.scene import (
     OTHER,
     SIDES,
@@ -42,6 +51,67 @@ from calib.photographs.scene import (
 )
 from calib.photographs.shared_errors import ErrorSizes, deviance, find_noise, normal_equations
 from calib.photographs.starts import image_rms, start
+
+_SHIFTS = (1, -1, 2, -2)
+_FEWEST = 4  # images
+_UNITS = (10.0, 0.1, 1000.0, 0.001)
+
+
+def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[tuple[str, str, BoardScene]]:
+    """Yield code and words of a mistake, and the scene with that other meaning of its numbers."""
+    n = len(scene)
+    for shift in _SHIFTS:
+        pairs = np.arange(n) + shift
+        paired = (pairs >= 0) & (pairs < n)
+        if np.sum(paired) < _FEWEST:
+            continue
+        tool = scene.tool.copy()
+        tool[paired] = scene.tool[pairs[paired]]
+        rows = "row" if abs(shift) == 1 else "rows"
+        text = (
+            f"images and poses are shifted: each image fits the pose {abs(shift)} {rows}"
+            f" {'further on' if shift > 0 else 'before'}"
+        )
+        yield "pairs_shifted", text, replace(scene, tool=tool).select_images(paired)
+    mirrored = replace(scene, pixels=scene.pixels * [-1, 1] + [scene.size[0] - 1, 0])
+    yield "mirrored", "the images are mirrored; flip them, or switch that off in the camera", mirrored
+    if len(mounts) == 1:
+        text = "the poses are inverted: the base in the tool, not the tool in the base"
+        yield "poses_inverted", text, replace(scene, tool=np.linalg.inv(scene.tool))
+    for text, tool in _other_rotations(scene.tool):
+        yield "rotations", text, replace(scene, tool=tool)
+    for factor in _UNITS:
+        text = (
+            f"the board would be {factor:.4g} times as large as described: lengths of the board or of the poses are in"
+            f" another unit than the files say"
+        )
+        yield "units", text, replace(scene, body=factor * scene.body)
+
+
+def _other_rotations(tool: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield a mistake in the rotations in words, and the corrected tool poses, (n, 4, 4)."""
+    of = scipy.spatial.transform.Rotation
+    read = of.from_matrix(tool[:, :3, :3])
+    quaternions, angles = read.as_quat(), read.as_euler("xyz")
+    ways = {
+        "the rotations are inverted: of the base in the tool, while positions are of the tool in the base": read.inv(),
+        "the quaternions have their real part first: name their columns qw, qx, qy, qz": of.from_quat(
+            np.roll(quaternions, -1, axis=1)
+        ),
+        "the quaternions have their real part last: name their columns qx, qy, qz, qw": of.from_quat(
+            np.roll(quaternions, 1, axis=1)
+        ),
+        "the angles turn about x, the new y and the new z, but were read about the fixed x, y and z (the same as about"
+        " z, the new y and the new x): give quaternions": of.from_euler("XYZ", angles),
+        "the first angle is about z, and the last about x: exchange the names of their columns": of.from_euler(
+            "xyz", angles[:, ::-1]
+        ),
+    }
+    for text, rotation in ways.items():
+        other = tool.copy()
+        other[:, :3, :3] = rotation.as_matrix()
+        yield text, other
+
 
 _UNKNOWN = "not_explained"
 _FAR_PIXELS = 4.0
@@ -95,14 +165,8 @@ def find_mistakes(
 ) -> tuple[Mistake, ...]:
     """Return mistakes that would explain the residuals, those that spoil the whole result first.
 
-    Args:
-        every: All images.
-        used: The images used.
-        fitted: The estimate from these.
-        given: Intrinsics as given, (9,); None if none are given.
-        first: Given intrinsics, or first values, (9,).
-        better: Estimate with a fitted lens if that predicts left-out images better; else `fitted`.
-        mounts: Possible mounts of the camera.
+    Of `every` image, some are `used` and `fitted`; `better` has a fitted lens if that predicts left-out images better.
+    Intrinsics as `given` and the `first` ones are (9,).
     """
     lens = _mistakes_of_lens(used, fitted, better, given)
     result = [] if any(mistake.whole for mistake in lens) else _mistakes_of_whole(every, fitted, first, mounts)

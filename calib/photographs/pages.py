@@ -32,14 +32,9 @@ def small_copy(image: GreyImage | str) -> bytes:
 def figure(
     image: DetectedImage, small: bytes, caption: str, arrows: FloatArray | None = None, *, is_outlying: bool = False
 ) -> str:
-    """Return a photograph with its detected points as HTML.
+    """Return a photograph, a small copy as JPEG if there is one, with its detected points as HTML.
 
-    Args:
-        image: Its detected points.
-        small: Its small copy as JPEG; empty if there is none.
-        caption: Text below it.
-        arrows: Ends of arrows from the detected points, such as predicted points, (n, 2) [px].
-        is_outlying: Whether it is marked as outlying.
+    Arrows lead from the detected points to others, such as predicted points, (n, 2) [px].
     """
     (width, height), name = image.size, escape(image.name)
     words = f'<b>{name}</b>: <span class="{"off" if is_outlying else "fine"}">{escape(caption)}</span>'

@@ -114,12 +114,9 @@ class Paper:
 
 
 def page(board: Board, form: str, paper: str | None = None) -> bytes:
-    """Return a page with the board in true size, a ruler, and the board's description.
+    """Return a pdf or svg page with the board in true size, a ruler, and the board's description.
 
-    Args:
-        board: The board.
-        form: pdf or svg.
-        paper: Key of `PAPERS`, portrait or landscape as the board needs; default: a page as large as the board.
+    The paper is a key of `PAPERS`, portrait or landscape as the board needs; default: as large as the board.
 
     Raises:
         InputError: The board is larger than the paper, or OpenCV is not installed.
@@ -169,7 +166,6 @@ def _sheet(paper: str, needed: FloatArray, board: Board) -> FloatArray:
 
 
 def _draw_foot(axes: Any, board: Board, left: float, top: float) -> None:
-    """A ruler in steps of 10 mm, and words."""
     for k in range(11):
         x = left + k * _RULER / 10
         axes.plot([x, x], [top, top + (0.004 if k % 5 == 0 else 0.0025)], color="black", linewidth=0.4)

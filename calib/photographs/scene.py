@@ -178,7 +178,7 @@ class ImageSums(ReadOnlyArrays):
         jr, gr, rr: J^T r, G^T r, r^T r, (n, k), (n, 6), (n,).
         n_rows: Rows of each image, (n,).
         weight, off: Prior of the unknowns: 1 / sigma^2 (0: none), and present minus expected values, (k,) each.
-        n_arm: Number of columns, the last ones, for errors of the arm (`calib.photographs.arm_errors`).
+        n_arm: Number of columns, the last ones, for errors of the arm (`calib.photographs.intervals`).
     """
 
     jj: FloatArray
@@ -193,12 +193,8 @@ class ImageSums(ReadOnlyArrays):
     n_arm: int = 0
 
     def with_columns(self, by_unknowns: FloatArray, by_errors: FloatArray, n_arm: int = 0) -> ImageSums:
-        """Return the sums with further columns J a + G b of J.
-
-        Args:
-            by_unknowns: a, (n, k, c).
-            by_errors: b, (n, 6, c).
-            n_arm: Number of these columns for errors of the arm.
+        """Return the sums with further columns J a + G b of J, a (n, k, c) and b (n, 6, c); `n_arm` of them are of the
+        arm.
         """
         a, b = by_unknowns.transpose(0, 2, 1), by_errors.transpose(0, 2, 1)
         j_new = self.jj @ by_unknowns + self.jg @ by_errors

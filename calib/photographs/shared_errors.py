@@ -17,7 +17,7 @@ likelihood: they minimise
 by L-BFGS in their logarithms from several starts, polished by Newton steps so that only rounding is left in the last
 digits. An exact robot gets s_t = s_r = 0.
 
-Errors that follow the pose. The errors k of an arm (`calib.photographs.arm_errors`) are the same at all images,
+Errors that follow the pose. The errors k of an arm (`calib.photographs.intervals`) are the same at all images,
 e_i + N_i k with k ~ N(0, s_a^2 I). They are further columns G_i N_i of J with the prior 1 / s_a^2 in P. The same A and
 b then solve for both, and the criterion gains log det of the prior's covariance, 2 log s_a for each error.
 

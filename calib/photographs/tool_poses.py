@@ -172,12 +172,7 @@ def _tool_poses_from_joints(table: Table, robot: Robot) -> FloatArray:
 
 
 def match_images(seen: Sequence[str], names: Sequence[str], where: str) -> tuple[list[int], list[str]]:
-    """Return the row of each image, and a remark on every image without one.
-
-    Args:
-        seen: Names of images with a board.
-        names: Image of each row.
-        where: Name of the rows in messages.
+    """Return the row of each image with a board, and a remark on every image without a row; `where` names the rows.
 
     Raises:
         DataError: No image has a row.

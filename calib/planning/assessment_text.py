@@ -28,13 +28,7 @@ _MOSTLY_COMMON = 0.5  # the error without a common motion is printed if it is be
 
 
 def text_report(assessment: Assessment, source: str, width: int = 120, *, verbose: bool = False) -> str:
-    """Return an assessment as text.
-
-    Args:
-        source: Origin of the poses, in words.
-        width: Width of the text, in characters.
-        verbose: Print all groups and a table of all parameters; otherwise at most 40 lines.
-    """
+    """Return an assessment of poses from a source, in words, as text; at most 40 lines unless `verbose`."""
     lines, names = (None, _SHOWN) if verbose else (_LINES, _FEW)
     parts: list[str | Table] = [_heading(assessment, source), *_verdict(assessment, lines, width)]
     counts: list[str | Table] = ["", _counts(assessment)] if assessment.accuracy.maximum else []
@@ -237,12 +231,7 @@ _POSES = ("--sigma-mm", "--parameters", "--result", "--task")
 def advice_after_check(
     assessment: Assessment, robot: str, poses: object, data: Sequence[str], typed: Mapping[str, Sequence[str]]
 ) -> str:
-    """Return the next step after an assessment.
-
-    Args:
-        data: DATA as typed; empty if poses were sampled.
-        typed: Options as typed, from `typed_options`.
-    """
+    """Return the next step after an assessment; `data` are the poses as typed, empty if they were sampled."""
     if not data:
         words: tuple[str, ...] = ("calib", "sample", robot, "--count", "1000", "--seed", "1", "--out", "poses.csv")
         return f"Next: write poses to choose from: {shlex.join(words)}"

@@ -74,14 +74,9 @@ class Spacing:
         return free
 
     def select_spread(self, tried: IntArray, count: int) -> IntArray:
-        """Return candidates that keep the distance, first from `tried`, then in file order.
+        """Return `count` candidates that keep the distance, first from `tried` (n,), then in file order.
 
-        Args:
-            tried: Candidates to take first, in this order, (n,).
-            count: Number of candidates to return.
-
-        Returns:
-            Indices of candidates, (count,), or fewer if no more keep the distance; `tried` itself without a distance.
+        There are fewer if no more keep the distance; without a distance, they are `tried` itself.
         """
         if self.distance == 0:
             return tried
@@ -125,12 +120,7 @@ def uniform_start(usable: IntArray, count: int) -> IntArray:
 
 
 def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Spacing) -> Exchange:
-    """Run the paper's exchange from a start.
-
-    Args:
-        index: Index to raise.
-        start: Candidates to start from, (count,).
-        spacing: Candidates that may be added.
+    """Run the paper's exchange from a start (count,) to raise an index.
 
     Raises:
         NotIdentifiableError: No choice determines every direction.

@@ -166,10 +166,7 @@ class Progress(ReadOnlyArrays):
                     "checks": following.checks,
                     "joints": {name: {"value": value, "unit": unit} for name, value, unit in self._joints(following)},
                     "way": following.travel,
-                    "predicted_mm": {
-                        "before": millimetres(following.before),
-                        "after": millimetres(following.after),
-                    },
+                    "predicted_mm": {when: millimetres(getattr(following, when)) for when in ("before", "after")},
                 },
                 "seconds": self.seconds,
             }
@@ -220,7 +217,6 @@ class Progress(ReadOnlyArrays):
         return [f"next: pose {following.name}, which {help_}", f"  {joints}"]
 
     def _joints(self, following: NextPose) -> list[tuple[str, float, str]]:
-        """Name, value and unit of each joint."""
         named = zip(self.robot.joint_names, following.joints, strict=True)
         stated = ((name, value, self.robot.mechanism.dimensions[name]) for name, value in named)
         return [(name, float(value) * display_scale(kind), DISPLAY_UNIT[kind]) for name, value, kind in stated]

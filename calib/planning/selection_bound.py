@@ -67,13 +67,10 @@ class Relaxation(ReadOnlyArrays):
 def relax(
     problem: SelectionProblem, index: str, chosen: BoolArray, usable: BoolArray, kinds: IntArray | None = None
 ) -> Relaxation:
-    """Bound the index of any choice with as many poses of each kind as a given choice.
+    """Bound the index of any choice with as many poses of each kind as a choice (n_candidates,) to start from.
 
-    Args:
-        index: `O1` or `task`.
-        chosen: A choice to start from, (n_candidates,).
-        usable: Mask of the candidates that may be chosen, (n_candidates,); all others keep weight 0.
-        kinds: Kind of each candidate as a number, (n_candidates,); one kind if not given.
+    Candidates that are not usable (n_candidates,) keep weight 0. `kinds` are numbers, (n_candidates,); default: one
+    kind.
     """
     weights = chosen.astype(float)
     kinds = np.broadcast_to(np.intp(0), len(problem)) if kinds is None else kinds

@@ -33,12 +33,9 @@ _BATCH = 16  # candidates whose eigenvalues are computed together
 
 
 def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: float = 0.0) -> Scores:
-    """Return the scores of a choice.
+    """Return the scores of a choice (n_candidates,) by an index of `CHOICES`.
 
-    Args:
-        index: Index, of `CHOICES`.
-        chosen: Mask of the chosen candidates, (n_candidates,).
-        ridge: Added to the diagonal of K, so that a choice that determines too little can be improved.
+    A ridge on the diagonal of K lets a choice that determines too little be improved.
 
     Raises:
         InputError: Unknown index.
@@ -53,11 +50,9 @@ def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: floa
 
 
 def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> dict[str, float]:
-    """Return O1 to O5 of a choice and, if there is a task, the task index [m].
+    """Return O1 to O5 of a choice (n_candidates,) and, if there is a task, the task index [m].
 
-    Args:
-        chosen: Mask of the chosen candidates, (n_candidates,).
-        unit: Size of a whitened row of 1, such as the noise of a position [m].
+    `unit` is the size of a whitened row of 1, such as the noise of a position [m].
     """
     rows = problem.rows[chosen]
     flat = rows.reshape(-1, rows.shape[2])
@@ -77,14 +72,7 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
 
 
 def index_of_score(problem: SelectionProblem, index: str, score: float, count: int, unit: float) -> float:
-    """Return the index of `count` chosen poses with this score; the task index in m.
-
-    Args:
-        index: Index, of `CHOICES`.
-        score: `Scores.value`.
-        count: Number of chosen poses.
-        unit: Size of a whitened row of 1, such as the noise of a position [m].
-    """
+    """Return the index of `count` chosen poses with a score; the task index in m. `unit` is as in `index_values`."""
     if index == "O1":
         mean_log = 0.5 * score / len(problem.strengths) + float(np.mean(np.log(problem.strengths)))
         return unit * float(np.exp(mean_log) / np.sqrt(count + problem.n_before))

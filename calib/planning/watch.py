@@ -152,7 +152,6 @@ class Watch:
             self._settled = self._settled + len(new) if met else 0
 
     def _try_fit(self, data: Measurements) -> tuple[Fit | None, CalibrationError | None]:
-        """A fit of the measurements, or the reason why there is none yet."""
         try:
             return calibrate(self.robot, data, None, self._settings), None
         except (DataError, NotIdentifiableError, NotConvergedError) as error:  # too few poses, all on one line

@@ -21,7 +21,6 @@ from calib.printers.rows import PrinterFile, expected_geometry, residuals
 
 
 def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Output) -> None:
-    """Write the description, the URDF and the measurements of a printer."""
     printer, arm = read_printer(file, firmware), None
     for text in given:
         key, equals, value = (part.strip() for part in text.partition("="))
@@ -53,7 +52,6 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
 
 
 def _saved_errors(printer: PrinterFile) -> str:
-    """Return the errors of the file's settings on its rows, in words."""
     errors, parts = residuals(printer.geometry, printer.rows), []
     for noun, n_places in (("heights", 1), ("distances", 2)):
         of_kind = errors[[len(row.places) == n_places for row in printer.rows]]

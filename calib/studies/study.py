@@ -8,11 +8,20 @@ a model that contains the truth. A study shows where one of these fails.
 Alternatively, nothing is simulated, and the poses of real measurements are resampled (`calib.studies.study_data`).
 
 Every draw has its own seed, spawned from the study's (`numpy.random.SeedSequence`), so that the numbers do not depend
-on the number of workers or the distribution of draws. Workers get draws in chunks, each a fit that starts from the
-first (`calib.studies.many_calibrations`). A chunk whose worker is lost is sent again (`calib.core.base.workers`).
+on the number of workers or the distribution of draws. Workers get draws in chunks. A chunk whose worker is lost is sent
+again (`calib.core.base.workers`).
 
-When it fails. A draw without an answer, or not converged, is counted and left out. A study simulates
-its inputs: errors that are neither in the truth nor in the noise are not in its figures.
+Draws differ in their readings. One draw is calibrated in full, from the nominal robot. Every other draw starts one
+linear step away from the minimum of the first. The step follows from the linear model of that minimum (J, T and the
+priors' rows, `calib.core.numerics.statistics`) and the draw's own residuals. Then the fit continues as usual, with the
+same solver, noise, offsets, robust losses and rules of convergence. Curvature beyond the linear model widens the
+intervals as in the first fit.
+
+When it fails. A draw without an answer, or not converged, is counted and left out. A study simulates its inputs: errors
+that are neither in the truth nor in the noise are not in its figures. If noise is not stated and parameters have
+priors, a full fit and a fit from the linear step agree on the noise to one percent only. If visits differ (a touch
+moves the robot until contact; poses are drawn again), or a loop opens after the step, a draw starts at the minimum of
+the first.
 
 Reference: jcgm101.
 """
@@ -22,15 +31,15 @@ from __future__ import annotations
 import time
 from concurrent.futures import Executor
 from contextlib import nullcontext
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import CalibrationError, InputError, NotConvergedError
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.errors import CalibrationError, ComputationError, InputError, NotConvergedError
 from calib.core.base.memory import require_memory
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import in_si
@@ -40,18 +49,103 @@ from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import PosesLike
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fitted import Fit
+from calib.core.fitting.problem import Problem
 from calib.core.fitting.settings import Settings
+from calib.core.fitting.solving import convergence_at, solve_from, uncertainty_at
+from calib.core.instruments.kind import View
 from calib.core.judging.findings import outliers
 from calib.core.numerics.losses import find_loss
 from calib.core.robots.acceleration import compilation_requested, compile_kinematics, pays
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
-from calib.studies.many_calibrations import RepeatedCalibration
+from calib.core.rows.observed import views_of_instruments
+from calib.core.rows.whitening import Whitening
 from calib.studies.study_data import Noise, ResampledDraws, SimulatedDraws, simulated_draws
 from calib.studies.study_result import Draws, Study
 
 _CHUNK = 50
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedCalibration(ReadOnlyArrays):
+    """Calibration of one robot from one draw of data after another; `first` is a finished fit of one draw."""
+
+    first: Fit
+    settings: Settings
+
+    @cached_property
+    def problem(self) -> Problem:
+        """Problem of the first draw."""
+        first = self.first
+        return Problem.from_data(
+            first.nominal, first.identification.data, self.settings.sigma, first.configurations.passive
+        )
+
+    @cached_property
+    def views(self) -> dict[str, View | FloatArray]:
+        """View of each instrument in the first draw, at the minimum, by name; see `views_of_instruments`."""
+        return views_of_instruments(
+            self.first.robot, self.first.configurations, self.first.identification.data.readings
+        )
+
+    def fit(self, data: Measurements, passive: FloatArray | None = None) -> Fit:
+        """Calibrate from readings of the same visits, or of others; see `SimulatedDraws.draw`.
+
+        Raises:
+            CalibrationError: A loop opens, the noise cannot be estimated, or no degrees of freedom are left.
+        """
+        first = self.first
+        if not np.array_equal(data.joints, first.identification.data.joints):
+            return self._fit_from(Problem.from_data(first.nominal, data, self.settings.sigma, passive), first.robot)
+        problem = self.problem.with_readings(data, first.configurations.passive)
+        if _same_looks(data, first.identification.data):
+            try:
+                return self._fit_from(problem, self._one_step(data, problem.whitening))
+            except ComputationError:
+                pass
+        return self._fit_from(problem, first.robot)
+
+    def _one_step(self, data: Measurements, whitening: Whitening) -> Robot:
+        """The robot one step from the first minimum, by its linear model and other readings."""
+        first, robot, rows = self.first, self.first.robot, self.first.rows
+        residuals = {
+            name: robot.instrument(name)
+            .compare(seen, robot.values[robot.unknowns[name]], data.readings[name])
+            .residuals
+            for name, seen in self.views.items()
+        }
+        step = rows.step(whitening.whiten(residuals, first.scales))
+        return first.unknowns.robot_at(robot, rows.deviations + step)
+
+    def _fit_from(self, problem: Problem, start: Robot) -> Fit:
+        solved, first = solve_from(problem, problem.evaluate(start), self.settings), self.first
+        final = solved.evaluation
+        rows, scales, statistics = uncertainty_at(solved, first.statistics.beyond_linear)
+        closed = final.configurations
+        return replace(
+            first,
+            robot=final.robot,
+            identification=replace(
+                first.identification, data=problem.data, after=final.residuals, passive=closed.passive
+            ),
+            configurations=closed,
+            statistics=statistics,
+            rows=rows,
+            whitening=problem.whitening,
+            scales=scales,
+            convergence=convergence_at(solved, rows, statistics.std),
+            weights=np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights,
+        )
+
+
+def _same_looks(data: Measurements, other: Measurements) -> bool:
+    """Whether the instruments had the same targets at the same visits."""
+    return data.readings.keys() == other.readings.keys() and all(
+        np.array_equal(getattr(data.readings[name], key), getattr(readings, key))
+        for name, readings in other.readings.items()
+        for key in ("visits", "pairs", "details")
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +167,6 @@ class _Setting:
     prediction_passive: FloatArray
     compiled: bool
     seed: np.random.SeedSequence
-
-    @property
-    def first(self) -> Fit:
-        """The fit from which all others start."""
-        return self.repeated.first
 
 
 def study(
@@ -147,7 +236,7 @@ def study(
                 progress(chunk.stop, draws)
     if len(failures) == draws:
         raise NotConvergedError(f"none of the {draws} draws gave an answer: {failures[0]}")
-    first = setting.first
+    first = setting.repeated.first
     return Study(
         robot.name,
         tuple(first.nominal.parameters[k] for k in first.unknowns.index),
@@ -170,10 +259,9 @@ def _prepare(
     seed: np.random.SeedSequence,
     draws: int,
 ) -> _Setting:
-    """The setting, with the calibration from which all others start."""
     q = np.zeros((0, len(robot.joint_names))) if elsewhere is None else joint_vector(robot, elsewhere)
     near = robot.assemble(q).passive
-    data = source if isinstance(source, Measurements) else source.draw(_seed_of_draw(seed, 0)).data
+    data = source if isinstance(source, Measurements) else source.draw(_seed_of_draw(seed, 0))[1]
     first = calibrate(robot, data, None, settings)
     if not first.converged:
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
@@ -202,20 +290,19 @@ def _chunk(setting: _Setting, numbers: range) -> tuple[list[Draws], list[str]]:
     with compile_kinematics() if setting.compiled else nullcontext():
         for number in numbers:
             try:
-                drawn = setting.source.draw(_seed_of_draw(setting.seed, number))
-                fit = setting.repeated.fit(drawn)
+                truth, data, passive = setting.source.draw(_seed_of_draw(setting.seed, number))
+                fit = setting.repeated.fit(data, passive)
             except CalibrationError as error:
                 failures.append(str(error))
                 continue
             if fit.converged:
-                draws.append(_draw(setting, drawn.truth, fit))
+                draws.append(_draw(setting, truth, fit))
             else:
                 failures.append(fit.message)
     return [Draws.join(draws)] if draws else [], failures
 
 
 def _draw(setting: _Setting, truth: Robot, fit: Fit) -> Draws:
-    """The row of a draw."""
     known, sigma = fit.interval_statistics, np.array([estimate.sigma for estimate in fit.noise])
     true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
     none: FloatArray = np.zeros((0, len(truth.target_names), 3))

@@ -38,21 +38,9 @@ from calib.core.rows.unknowns import Unknowns
 
 Noise = Callable[[Measurements, np.random.Generator], Measurements]
 """Function from exact measurements to measurements with noise."""
-
-
-@dataclass(frozen=True, eq=False)
-class DrawnData:
-    """Data of one draw.
-
-    Attributes:
-        truth: The measured robot.
-        data: The measurements.
-        passive: Passive joints of a similar robot at the visits, (n, n_passive) [m or rad]; None if unknown.
-    """
-
-    truth: Robot
-    data: Measurements
-    passive: FloatArray | None = None
+Drawn = tuple[Robot, Measurements, FloatArray | None]
+"""Data of one draw: the measured robot, the measurements, and passive joints of a similar robot at the visits,
+(n, n_passive) [m or rad], or None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,19 +63,19 @@ class SimulatedDraws:
     sigma: float | None
     passive: FloatArray
 
-    def draw(self, seed: np.random.SeedSequence) -> DrawnData:
+    def draw(self, seed: np.random.SeedSequence) -> Drawn:
         """Return the data of one draw."""
         rng, truth, exact = np.random.default_rng(seed), self.truth, self.data
         if np.any(self.drawn):
             truth = truth.with_parameters(truth.values + self.drawn @ rng.standard_normal(self.drawn.shape[1]))
         if any(instrument.touches for instrument in truth.instruments):  # their noise is in the joints
-            return DrawnData(truth, simulate(truth, exact, self.sigma, rng))
+            return truth, simulate(truth, exact, self.sigma, rng), None
         if truth is not self.truth:
             configurations = truth.assemble(exact.joints, self.passive, exact.labels, exact.conditions)
             exact = replace(exact, readings=predict_readings(truth, configurations, exact.readings))
         if self.noise is not None:
-            return DrawnData(truth, self.noise(exact, rng))
-        return DrawnData(truth, replace(exact, readings=noisy_readings(truth, exact.readings, self.sigma, rng)))
+            return truth, self.noise(exact, rng), None
+        return truth, replace(exact, readings=noisy_readings(truth, exact.readings, self.sigma, rng)), None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,14 +92,14 @@ class ResampledDraws:
     data: Measurements
     passive: FloatArray
 
-    def draw(self, seed: np.random.SeedSequence) -> DrawnData:
+    def draw(self, seed: np.random.SeedSequence) -> Drawn:
         """Return the data of one draw."""
         groups = repeated_poses(self.data.joints, self.data.pose_numbers)
         chosen = np.random.default_rng(seed).integers(len(groups), size=len(groups))
         visits = [(turn, k) for turn, group in enumerate(chosen) for k in groups[group]]
         index = np.array([k for _, k in visits], dtype=np.intp)
         names = tuple(f"{turn}: {self.data.names[k]}" for turn, k in visits)  # a repeated pose is two poses
-        return DrawnData(self.truth, replace(self.data.subset(index), names=names), self.passive[index])
+        return self.truth, replace(self.data.subset(index), names=names), self.passive[index]
 
 
 def simulated_draws(
@@ -121,14 +109,7 @@ def simulated_draws(
     sigma: float | None,
     noise: Noise | None,
 ) -> SimulatedDraws:
-    """Return the source of simulated draws.
-
-    Args:
-        robot: The nominal robot.
-        poses: Poses to measure, as `Poses` or (n, n_actuated) [m or rad].
-        truth: The measured robot; `priors`: drawn from the priors of `robot` each time; None: `robot`.
-        sigma: Noise of positions in place of the description's [m].
-        noise: Function that adds noise to exact measurements; None: the noise of the description.
+    """Return the source of simulated draws of a nominal robot; see `study` for truth, sigma [m] and noise.
 
     Raises:
         InputError: The truth has other joints, there are no priors to draw it from, or the noise is not stated.

@@ -16,10 +16,10 @@ from pathlib import Path
 from make_poster import FIGURES, fitted, poses_of
 from PIL import Image
 from playwright.sync_api import sync_playwright
+from screenshots import chromium
 
 import calib
 from viz.scene import build_scene, scene_of_fit
-from viz.screenshots import chromium
 from viz.viewer_page import scene_page
 
 FIGURE = FIGURES / "before_after.webp"

@@ -17,12 +17,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from screenshots import PAPER, small, take
 
 import calib
 from calib.core.base.files import write_folder
 from viz.report_page import report_page
 from viz.scene import scene_of_fit
-from viz.screenshots import PAPER, small, take
 from viz.viewer_page import scene_page
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -84,7 +84,7 @@ PICTURES = tuple(
         "touch": "",
     }.items()
 ) + tuple((f"print-{kind}", f"print-{kind}.html", PAPER, "") for kind in ("pixel", "distance", "touch"))
-"""As `viz.screenshots.PICTURES`: each kind with its colours for the errors after calibration, and printed reports."""
+"""As `screenshots.PICTURES`: each kind with its colours for the errors after calibration, and printed reports."""
 _LOW, _HIGH = np.radians([[-80, -40, -10, -120, -90, -170], [80, 80, 100, 120, 90, 170]])
 _POSES, _SEED = 60, 7
 _SEEN = 4  # times as many, of which the camera sees some

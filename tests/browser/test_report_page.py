@@ -452,7 +452,7 @@ def test_plots_take_the_colours_of_a_dark_page(small_report):
 @pytest.mark.quick(0)
 def test_a_fleet_in_folders_far_down_fits_the_window(show, tmp_path):
     """Nothing has to be scrolled to, and folders are named by what differs."""
-    from viz.fleet_page import fleet_page
+    from viz.comparison_page import fleet_page
 
     robot, rng = calib.load(ROBOT), np.random.default_rng(5)
     folder = tmp_path / "calibrations" / "of hall three" / "in november"

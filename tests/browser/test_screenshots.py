@@ -5,8 +5,8 @@ import io
 import pytest
 from PIL import Image
 
+from docs.site.screenshots import PICTURES, take_one
 from tests.viz.viz_examples import medrue_fit
-from viz.screenshots import PICTURES, take_one
 
 
 @pytest.mark.quick(0)

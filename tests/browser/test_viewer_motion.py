@@ -177,7 +177,7 @@ def test_the_sliders_follow_the_pose_and_keep_the_joint_limits(tab, scene):
     for joint, value, kind in zip(scene.joints, scene.poses.joints[40], range(6), strict=True):
         shown = tab.page.locator(f"#drive-{kind}")
         assert float(shown.input_value()) == pytest.approx(joint.per_si * value, rel=2e-3, abs=0.2)
-    low, high = scene.drive.range
+    low, high = scene.drive["range"]
     assert np.all(low <= scene.poses.joints.min(axis=0))
     assert np.all(high >= scene.poses.joints.max(axis=0))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.browser.browser_tab import Tab, slide
-from tests.viz.viz_examples import many_poses
+from tests.viz.viz_examples import exaggerated, many_poses
 from viz.scene import build_scene
 from viz.scene_data import summary
 from viz.viewer_page import scene_page
@@ -47,7 +47,7 @@ def test_robot_and_ghost_stand_where_they_should(tab, scene):
             np.testing.assert_allclose(
                 matrices(tab, "solidMatrices"), scene.bodies.matrices(scene.solid, pose), atol=1e-6
             )
-            expected = scene.bodies.exaggerate(scene.solid, scene.ghost, pose, factor)
+            expected = exaggerated(scene.bodies, scene.solid, scene.ghost, pose, factor)
             np.testing.assert_allclose(matrices(tab, "ghostMatrices"), expected, atol=1e-6 * (1 + factor))
 
 

@@ -123,7 +123,7 @@ def test_a_fit_with_its_pages_loads_nothing_that_other_commands_need(tmp_path):
         "calib.exporting.functions.facts",
         "calib.exporting.functions.c_text",
     )
-    heavy += ("calib.fleets.contradicted_prior", "calib.fleets.shared_parameters", "calib.fleets.hierarchy")
+    heavy += ("calib.fleets.contradicted_prior", "calib.fleets.hierarchy")
     assert all(importlib.util.find_spec(name) for name in heavy if name.startswith("calib"))
     check = (
         "import sys\nfrom calib.cli import group\n"

@@ -5,6 +5,7 @@ import re
 import make_figures
 import make_pictures
 import pytest
+import screenshots
 from snippets import DOCS, ROOT
 
 OF_OTHERS = {"watch_replay", "ur10", "ur10_dark", "comparison"}
@@ -40,7 +41,6 @@ def _own(path):
 
 
 def test_pictures_are_those_that_commands_take():
-    screenshots = pytest.importorskip("viz.screenshots")
     taken = {f"{name}.png" for name, *_ in (*screenshots.PICTURES, *make_pictures.PICTURES)}
     assert {path.name for path in (DOCS / "figures").glob("*.png")} <= taken
 

@@ -13,7 +13,7 @@ from calib.cli import group
 from calib.core.numerics.prior import Prior
 from calib.fleets.hierarchy import FleetEvidence, compare_with_fleet, evidence_of_data, learn, learn_without_odd
 from tests.fleets import fleet_figures
-from viz.fleet_page import side_by_side
+from viz.comparison_page import side_by_side
 
 N, R = 6, 7
 NOISE = 3e-5  # of docs/examples/arm.yaml [m]

@@ -77,9 +77,11 @@ def test_the_shifted_joint_is_a_real_difference_and_nothing_is_between_two_measu
 def test_errors_are_on_the_same_rows_where_there_are_any(fits, tmp_path):
     same = calib.compare(fits / "before", fits / "again")
     result = json.loads((fits / "before" / "result.json").read_text())
-    assert same.errors_on == ("the same 20 readings not used",) * 2
-    assert same.errors[0] == pytest.approx(result["errors"]["validation"]["after"]["rms"])
-    assert calib.compare(fits / "before", fits / "shifted").errors_on == ("readings that it did not use",) * 2
+    assert [each.on for each in same.results] == ["the same 20 readings not used"] * 2
+    assert same.results[0].rms == pytest.approx(result["errors"]["validation"]["after"]["rms"])
+    assert [each.on for each in calib.compare(fits / "before", fits / "shifted").results] == [
+        "readings that it did not use"
+    ] * 2
 
 
 def test_a_fit_without_other_poses_is_compared_by_poses_left_out(fits, robot, tmp_path):
@@ -87,9 +89,9 @@ def test_a_fit_without_other_poses_is_compared_by_poses_left_out(fits, robot, tm
     fit = calib.fit(robot, calib.simulate(robot, calib.sample(robot, 30, np.random.default_rng(5)), SIGMA, seed=6))
     fit.save(tmp_path / "alone", pages=False)
     compared = calib.compare(fits / "before", tmp_path / "alone")
-    assert compared.errors_on[1] == "poses left out in turn"
-    assert compared.errors[1] == pytest.approx(1e3 * fit.verdict.claim.at_measured_poses.rms)
-    assert compared.errors[1] > 1e3 * fit.rms
+    assert compared.results[1].on == "poses left out in turn"
+    assert compared.results[1].rms == pytest.approx(1e3 * fit.verdict.claim.at_measured_poses.rms)
+    assert compared.results[1].rms > 1e3 * fit.rms
 
 
 def test_a_failed_fit_is_not_tested(fits, tmp_path):

@@ -16,7 +16,7 @@ from calib.photographs.camera_alone import intrinsics_at_first, point_errors
 from calib.photographs.estimation import estimate, predict_left_out_images, rms, solve
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
-from calib.photographs.other_readings import other_readings
+from calib.photographs.mistakes import other_readings
 from calib.photographs.scene import POSES, HandEyePlacement, HandEyeUnknowns, plane_errors_on_board, residuals, rows
 from calib.photographs.shared_errors import ErrorSizes
 from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, board_points, pixels_of, pose, scene
@@ -284,7 +284,7 @@ def test_one_wrong_image_is_set_aside_by_name_with_how_far_its_pose_is_off():
     tool[4] = tool[4] @ pose((0.0, 0.012, 0.0), (0, 0, 0))
     result = calibrate(replace(view, tool=tool), INTRINSICS, mounts=("base",), lens="given")
     assert [image.name for image in result.outlying_images] == ["shot_05"]
-    assert result.outlying_images[0].shift == pytest.approx(0.012, rel=0.15)
+    assert result.outlying_images[0].shift_m == pytest.approx(0.012, rel=0.15)
     assert judge(result).grade == "CHECK"
     assert "shot_05" not in result.scene.names
 
@@ -365,9 +365,9 @@ def test_corners_that_are_off_go_by_themselves_and_are_no_doubt(clean, good):
     pixels = clean.pixels.copy()
     pixels[list(off)] += list(off.values())
     result = calibrate(replace(clean, pixels=pixels), INTRINSICS, mounts=("tool",))
-    told = {(point.image, point.pixel) for point in result.points_off}
+    told = {(point.image, (point.u, point.v)) for point in result.points_off}
     assert told == {(clean.names[clean.image[k]], tuple(pixels[k].tolist())) for k in off}
-    distances = sorted((point.distance for point in result.points_off), reverse=True)
+    distances = sorted((point.distance_px for point in result.points_off), reverse=True)
     assert np.allclose(distances, sorted((np.hypot(*step) for step in off.values()), reverse=True), atol=1.2)  # 4 sigma
     assert judge(result).grade == "PASS"
     assert rms(result.left_out.board) < 1.02 * rms(good.left_out.board)

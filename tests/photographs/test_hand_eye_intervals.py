@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from calib.photographs.arm_errors import arm_twists
 from calib.photographs.estimation import estimate
-from calib.photographs.intervals import intervals
+from calib.photographs.intervals import arm_twists, intervals
 from calib.photographs.scene import HandEyePlacement, linearise, rows
 from calib.photographs.shared_errors import ErrorSizes, criterion, find_noise, logarithms
 from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, scene

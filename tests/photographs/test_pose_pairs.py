@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.core.data.tables import read_table
 from calib.photographs.hand_eye_result import Frames
-from calib.photographs.pose_pairs import solve_pairs
-from calib.photographs.pose_pairs_result import content_of_pairs, judge_pairs, report_pairs
+from calib.photographs.pose_pairs import content_of_pairs, judge_pairs, report_pairs, solve_pairs
 from calib.photographs.tool_poses import pose_columns, poses_of
 from tests.project import write_table
 

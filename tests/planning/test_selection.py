@@ -11,7 +11,6 @@ from calib.core.data.measurements import Poses
 from calib.core.numerics.observability import observability, raw_columns
 from calib.core.robots.jacobian import linearise
 from calib.core.rows.candidates import build_candidates
-from calib.planning import screening
 from calib.planning.instrument_choice import groups_of, pairs_of
 from calib.planning.selection import select
 from medrue.workspace import target_workspace
@@ -47,9 +46,9 @@ def test_84_of_420_are_certified_to_a_thousandth(by_o1):
 @pytest.mark.parametrize("index", ["O1", "task"])
 def test_screened_candidates_give_the_choice_of_all_and_are_in_the_bound(medrue, monkeypatch, index):
     of_all = select(medrue, Q, 40, index, exclude=[3], starts=2, seed=4)
-    monkeypatch.setattr(screening, "SCREENED", 100)
-    monkeypatch.setattr(screening, "_SEARCHED", 180)
-    monkeypatch.setattr(screening, "_FOR_EACH", 1)
+    monkeypatch.setattr("calib.planning.selection.SCREENED", 100)
+    monkeypatch.setattr("calib.planning.selection._SEARCHED", 180)
+    monkeypatch.setattr("calib.planning.selection._FOR_EACH", 1)
     screened = select(medrue, Q, 40, index, exclude=[3], starts=2, seed=4)
     assert [run.start for run in screened.runs] == ["uniform", "random", "relaxed", "best"]
     assert len(set(screened.chosen.tolist())) == 40
@@ -65,7 +64,7 @@ def test_screened_candidates_give_the_choice_of_all_and_are_in_the_bound(medrue,
 @pytest.mark.quick(0)
 def test_o2_has_no_bound_and_is_not_screened(medrue, monkeypatch):
     of_all = select(medrue, Q[::3], 30, "O2")
-    monkeypatch.setattr(screening, "SCREENED", 10)
+    monkeypatch.setattr("calib.planning.selection.SCREENED", 10)
     assert np.array_equal(select(medrue, Q[::3], 30, "O2").chosen, of_all.chosen)
 
 

@@ -14,8 +14,8 @@ import calib
 from calib.core.base.workers import Workers, results_in_order
 from calib.core.fitting.settings import Settings
 from calib.core.judging.findings import outliers
-from calib.studies.many_calibrations import RepeatedCalibration
-from calib.studies.study_data import DrawnData, ResampledDraws
+from calib.studies.study import RepeatedCalibration
+from calib.studies.study_data import ResampledDraws
 from tests.core.base.test_workers import Shared
 from tests.project import EXAMPLES
 from tests.six_axis_arm import FREE, NO_PRIORS, YAML, joints, write_six_axis
@@ -87,9 +87,7 @@ def test_a_draw_gives_the_numbers_of_a_separate_fit(case, loss, request):
     truth = bent(robot)
     data = [calib.simulate(truth, poses, SIGMA, seed) for seed in (1, 2)]
     settings = Settings(sigma=SIGMA, loss=loss)
-    result = RepeatedCalibration(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings).fit(
-        DrawnData(truth, data[1])
-    )
+    result = RepeatedCalibration(calib.fit(robot, data[0], sigma=SIGMA, loss=loss), settings).fit(data[1])
     alone = calib.fit(robot, data[1], sigma=SIGMA, loss=loss)
     off = (result.robot.values[result.free] - alone.robot.values[alone.free]) / alone.statistics.std
     # both stop where the next step is below 1e-4 standard deviations; robust weights stand to a thousandth
@@ -134,7 +132,7 @@ def test_draws_give_all_the_numbers_of_separate_fits(instruments, tmp_path):
         off[:4] = off[27:31] = off[31:] = 3e-4 * np.random.default_rng(0).standard_normal((4, 3))
     data.append(with_errors(data[0], name, off))
     for each in data:
-        made = repeated.fit(DrawnData(robot, each))
+        made = repeated.fit(each)
         alone = calib.fit(robot, each, sigma=sigma)
         statistics = alone.statistics
         assert np.max(np.abs(made.robot.values[made.free] - alone.robot.values[alone.free]) / statistics.std) < 1e-4
@@ -163,7 +161,7 @@ def test_draws_of_which_more_is_to_be_found_give_the_numbers_of_fits(five_bar):
     missing = replace(quiet, readings={"pen": replace(pen, **fewer)})
     repeated = RepeatedCalibration(calib.fit(robot, quiet, sigma=SIGMA), Settings(sigma=SIGMA))
     for each in (quiet, loud, missing):
-        made = repeated.fit(DrawnData(robot, each))
+        made = repeated.fit(each)
         alone = calib.fit(robot, each, sigma=SIGMA)
         assert (
             np.max(np.abs(made.robot.values[made.free] - alone.robot.values[alone.free]) / alone.statistics.std) < 1e-2
@@ -453,7 +451,7 @@ def test_repeats_of_a_pose_are_drawn_together_and_a_pose_drawn_twice_is_two(arm)
     measured = calib.simulate(bent(arm), q, SIGMA, 3)
     data = replace(measured, names=tuple(f"p{k // 2}" for k in range(80)))
     source = ResampledDraws(arm, data, arm.assemble(q).passive)
-    drawn = source.draw(np.random.SeedSequence(1)).data
+    drawn = source.draw(np.random.SeedSequence(1))[1]
     assert len(drawn) == 80
     assert drawn.n_poses == 40
     said = [name.split(": ") for name in drawn.names]

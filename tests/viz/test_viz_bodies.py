@@ -5,7 +5,7 @@ import pytest
 
 import calib
 from medrue.workspace import target_workspace
-from tests.viz.viz_examples import medrue_robots
+from tests.viz.viz_examples import exaggerated, medrue_robots
 from viz.bodies import bodies_of, posed_robot
 
 LOOPS = (("E1_B", "E1_D"), ("E2_B", "E2_D"), ("G2_E", "G2_slide"))
@@ -38,7 +38,7 @@ def test_loops_are_closed_at_every_pose_and_exaggeration(posed):
     bodies, q, ghost, solid = posed
     for pose in range(len(q)):
         for factor in (0.0, 1.0, 10.0, 100.0):
-            matrices = bodies.exaggerate(solid, ghost, pose, factor)
+            matrices = exaggerated(bodies, solid, ghost, pose, factor)
             for first, second in LOOPS:
                 a, b = (matrices[bodies.names.index(name)][:3, 3] for name in (first, second))
                 # a planar loop leaves x to its bearings: the axes of the two robots differ by the base's rotation
@@ -51,7 +51,7 @@ def test_links_meet_at_every_joint_at_every_exaggeration(robots, posed):
     nominal = robots[0].nominal
     in_urdf = [not name.startswith("(") for name in bodies.names[1:]]
     for factor in (0.0, 1.0, 30.0):
-        matrices = bodies.exaggerate(solid, ghost, 3, factor)
+        matrices = exaggerated(bodies, solid, ghost, 3, factor)
         for i in np.flatnonzero(in_urdf & ~np.array(bodies.sliding)):  # a slide's own motion lies between
             parent = bodies.parents[i]
             on_parent = matrices[parent] @ np.append(nominal.model.jointPlacements[int(i) + 1].translation, 1.0)
@@ -59,12 +59,6 @@ def test_links_meet_at_every_joint_at_every_exaggeration(robots, posed):
             # with errors up to 2 mm, the carriage's four motors and the support's two children cannot all be met
             limit = 1e-9 if max(families) <= 1 else 1e-3
             assert np.linalg.norm(on_parent[:3] - matrices[i + 1][:3, 3]) < limit * (1 + factor)
-
-
-def test_no_exaggeration_is_the_solid_robot_and_one_is_the_ghost(posed):
-    bodies, _, ghost, solid = posed
-    np.testing.assert_allclose(bodies.exaggerate(solid, ghost, 2, 0.0), bodies.matrices(solid, 2), atol=1e-15)
-    np.testing.assert_allclose(bodies.exaggerate(solid, ghost, 2, 1.0), bodies.matrices(ghost, 2), atol=1e-15)
 
 
 def test_nominal_shapes_are_not_stretched(posed):

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from calib.fleets.comparison_report import Difference, Pair, ResultComparison
+from calib.fleets.comparison_report import ComparedResult, Difference, Pair, ResultComparison
 from viz.comparison_page import comparison_page, intervals
 
 NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
@@ -28,15 +28,21 @@ def row(value, half, status="identified"):
 
 @pytest.fixture
 def comparison():
+    on = "the same 3 readings not used"
     return ResultComparison(
-        ("out/<b>first</b>", "out/second"),
-        ("/data/out/<b>first</b>", None),
-        ("PASS", "CHECK"),
-        (40, 50),
-        (0.05123, 0.2),
-        "mm",
-        ("the same 3 readings not used",) * 2,
-        (np.array([0.04, 0.05, 0.06]), np.array([0.1, 0.2, 0.3])),
+        (
+            ComparedResult(
+                "out/<b>first</b>",
+                "/data/out/<b>first</b>",
+                "PASS",
+                40,
+                0.05123,
+                "mm",
+                on,
+                np.array([0.04, 0.05, 0.06]),
+            ),
+            ComparedResult("out/second", None, "CHECK", 50, 0.2, "mm", on, np.array([0.1, 0.2, 0.3])),
+        ),
         (
             Difference("elbow.x", (row(100.0, 0.02), row(100.5, 0.03)), (1e-6,)),
             Difference("wrist.x", (row(7.0, 0.02), row(7.001, 0.03)), (0.8,)),
@@ -73,7 +79,10 @@ def test_errors_on_the_same_readings_are_drawn_where_there_are_any(comparison):
     html = comparison_page(comparison, created=NOON).html
     assert 'id="same-rows"' in html
     assert 'id="intervals"' in html
-    alone = dataclasses.replace(comparison, sizes=(), errors_on=("readings that it did not use",) * 2)
+    own = {"on": "readings that it did not use", "sizes": np.zeros(0)}
+    alone = dataclasses.replace(
+        comparison, results=tuple(dataclasses.replace(each, **own) for each in comparison.results)
+    )
     html = comparison_page(alone, created=NOON).html
     assert 'id="same-rows"' not in html
     assert "readings that it did not use" in html
@@ -101,13 +110,7 @@ def test_it_asks_nobody_and_escapes_names(comparison):
 
 def test_three_results_have_three_columns(comparison):
     three = ResultComparison(
-        *(
-            (*getattr(comparison, name), getattr(comparison, name)[-1])
-            for name in ("names", "folders", "verdicts", "n_poses", "errors")
-        ),
-        "mm",
-        (*comparison.errors_on, comparison.errors_on[0]),
-        (*comparison.sizes, comparison.sizes[0]),
+        (*comparison.results, comparison.results[-1]),
         tuple(
             Difference(difference.name, (*difference.rows, difference.rows[0]), (*difference.p_values, 0.9))
             for difference in comparison.differences

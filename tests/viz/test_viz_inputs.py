@@ -97,13 +97,13 @@ def test_a_folder_shows_the_outliers_that_were_left_out(tmp_path):
 def test_what_a_file_says_about_itself_is_shown_with_its_data(fit, tmp_path):
     data = dataclasses.replace(measurements(range(0, 420, 60)), comments=("Simulated measurements",))
     for scene in (gather(medrue_robot(), None, data).scene, gather(medrue_robot(), fit, data).scene):
-        assert scene.remarks.lines == ("Simulated measurements",)
-        assert scene.remarks.simulated
-    assert gather(medrue_robot(), fit).scene.remarks.lines == ()
+        assert scene.remarks["lines"] == ["Simulated measurements"]
+        assert scene.remarks["simulated"]
+    assert gather(medrue_robot(), fit).scene.remarks["lines"] == []
     said = dataclasses.replace(fit.identification.data, comments=("Simulated measurements",))
     identification = dataclasses.replace(fit.identification, data=said)
     dataclasses.replace(fit, identification=identification).save(str(tmp_path / "out"), pages=False)
-    assert gather(medrue_robot(), tmp_path / "out").scene.remarks.lines == ("Simulated measurements",)
+    assert gather(medrue_robot(), tmp_path / "out").scene.remarks["lines"] == ["Simulated measurements"]
 
 
 def test_a_reason_has_its_own_grade_or_none_where_it_is_not_known():

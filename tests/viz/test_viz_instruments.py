@@ -170,17 +170,14 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     np.testing.assert_allclose(saved.poses.after, table.after, atol=1e-9)
     np.testing.assert_allclose(saved.poses.before, table.before, atol=1e-9)
     off = fit.identification.tables()["ball"]["distance"]
-    expected = tuple((off[state]["rms"], off[state]["max"]) for state in ("before", "after"))
     for shown in (scene, saved_scene):
         (other,) = shown.others
-        assert (other.instrument, other.part, other.unit, other.sets[0][0]) == (
-            "ball",
-            "distance",
-            "mm",
-            "identification",
-        )
-        np.testing.assert_allclose(other.sets[0][1:], expected, rtol=1e-9)
-    assert content["others"][0]["sets"][0]["after"] == list(expected[1])
+        assert (other["of"], other["part"], other["unit"]) == ("ball", "distance", "mm")
+        (errors,) = other["sets"]
+        assert errors["group"] == "identification"
+        for state in ("before", "after"):
+            np.testing.assert_allclose(errors[state], [off[state]["rms"], off[state]["max"]], rtol=1e-9)
+    assert content["others"][0]["sets"] == scene.others[0]["sets"]
     alone = gather(robot, None, data).scene
     assert alone.states == ("before",)
     assert (len(alone.poses), alone.n_rows) == (240, 120)

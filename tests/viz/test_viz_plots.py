@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from viz.plots import draw_course, draw_histogram, draw_normal, draw_residuals
+from viz.fit_plots import draw_course, draw_histogram, draw_normal, draw_residuals
 from viz.poses import PoseTable
 from viz.scene import ViewerJoint
 from viz.svg import new_figure, plain_ticks, svg_file, with_style

@@ -125,3 +125,9 @@ def spoiled(data, visit=10, by=1e-3):
     values[visit, 2] += by
     readings = dataclasses.replace(data.readings["tool"], values=values)
     return dataclasses.replace(data, readings={"tool": readings})
+
+
+def exaggerated(bodies, solid, ghost, pose, factor):
+    """M(factor) of `viz.bodies`, (n_joints + 1, 4, 4) [m], as the page's script computes it."""
+    start = bodies.matrices(solid, pose)
+    return start + factor * (bodies.matrices(ghost, pose) - start)

@@ -35,8 +35,7 @@ class Cockpit {
     node.hidden = !next;
     if (!next) return;
     node.replaceChildren(element("h2", {}, `Next: pose ${next.pose}`), element("table", {}, element("tbody", {},
-      ...Object.entries(next.joints).map(([name, { value, unit }]) => element("tr", {}, element("th", { scope: "row" }, name),
-        element("td", {}, `${fixed(value, 3)} ${unit}`))))));
+      ...Object.entries(next.joints).map(([name, { value, unit }]) => tableRow(name, [`${fixed(value, 3)} ${unit}`])))));
   }
 
   /** Predicted and unseen error against poses, and the goal; logarithmic upwards. */
@@ -52,31 +51,25 @@ class Cockpit {
     const [first, last] = [Math.min(...counts), Math.max(now + (left95 || 0), ...counts, Math.min(...counts) + 1)];
     const x = (n) => left + (n - first) / (last - first) * (width - left - right);
     const y = (value) => top + Math.log(high / value) / Math.log(high / low) * (height - top - bottom);
-    const node = (name, attributes, text) => {
-      const made = document.createElementNS("http://www.w3.org/2000/svg", name);
-      Object.entries(attributes).forEach(([key, value]) => made.setAttribute(key, value));
-      if (text) made.textContent = text;
-      return made;
-    };
     const line = (column, name) => {
       const points = history.filter((row) => row[column] > 0).map((row) => `${x(row[0]).toFixed(1)},${y(row[column]).toFixed(1)}`);
-      return points.length > 1 ? [node("polyline", { class: name, points: points.join(" ") })]
-        : points.map((point) => node("circle", { class: name, cx: point.split(",")[0], cy: point.split(",")[1], r: 3 }));
+      return points.length > 1 ? [svgElement("polyline", { class: name, points: points.join(" ") })]
+        : points.map((point) => svgElement("circle", { class: name, cx: point.split(",")[0], cy: point.split(",")[1], r: 3 }));
     };
     const band = (lower, name) => { // the 95 % interval
       const rows = history.filter((row) => row[lower] > 0 && row[lower + 1] > 0);
       const edge = (column, along) => along.map((row) => `${x(row[0]).toFixed(1)},${y(row[column]).toFixed(1)}`);
-      return rows.length < 2 ? [] : [node("polygon", { class: name, points: [...edge(lower, rows), ...edge(lower + 1, [...rows].reverse())].join(" ") })];
+      return rows.length < 2 ? [] : [svgElement("polygon", { class: name, points: [...edge(lower, rows), ...edge(lower + 1, [...rows].reverse())].join(" ") })];
     };
     const reached = history[history.length - 1][1];
-    const way = left95 && reached > 0 ? [node("line", { class: "way", x1: x(now), y1: y(reached), x2: x(now + left95), y2: y(goal) })] : [];
+    const way = left95 && reached > 0 ? [svgElement("line", { class: "way", x1: x(now), y1: y(reached), x2: x(now + left95), y2: y(goal) })] : [];
     const ticks = ticksBetween(low, high, true).filter((_, k, all) => all.length <= 5 || k % 2 === 0);
     drawing.replaceChildren(
-      ...ticks.flatMap(([value]) => [node("line", { class: "grid", x1: left, x2: width - right, y1: y(value), y2: y(value) }),
-        node("text", { x: left - 5, y: y(value) + 4, "text-anchor": "end" }, String(Number(value.toPrecision(2))))]),
-      node("line", { class: "goal", x1: left, x2: width - right, y1: y(goal), y2: y(goal) }),
+      ...ticks.flatMap(([value]) => [svgElement("line", { class: "grid", x1: left, x2: width - right, y1: y(value), y2: y(value) }),
+        svgElement("text", { x: left - 5, y: y(value) + 4, "text-anchor": "end" }, String(Number(value.toPrecision(2))))]),
+      svgElement("line", { class: "goal", x1: left, x2: width - right, y1: y(goal), y2: y(goal) }),
       ...band(3, "predicted"), ...band(5, "unseen"), ...way, ...line(1, "predicted"), ...line(2, "unseen"),
-      ...[first, last].map((n, k) => node("text", { x: x(n), y: height - bottom + 15, "text-anchor": k ? "end" : "start" }, String(n))),
-      node("text", { x: (left + width - right) / 2, y: height - bottom + 15, "text-anchor": "middle" }, "poses"));
+      ...[first, last].map((n, k) => svgElement("text", { x: x(n), y: height - bottom + 15, "text-anchor": k ? "end" : "start" }, String(n))),
+      svgElement("text", { x: (left + width - right) / 2, y: height - bottom + 15, "text-anchor": "middle" }, "poses"));
   }
 }

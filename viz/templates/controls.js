@@ -3,14 +3,7 @@
 
 class Controls {
   constructor(scene) {
-    this.scene = scene;
-    this.table = new PoseTable(scene);
-    scene.colourBytes = decode(scene.colours, Uint8ClampedArray);
-    this.panel = new Panel(scene, this.table);
-    this.state = scene.states.includes("after") ? "after" : "before";
-    this.part = 0; // of readings, whose errors are shown
-    this.row = 0;
-    this.live = null; // what a live program shows instead of a pose
+    this.take(scene);
     this.groups = new Groups(this.table, () => this.filter());
     this.stage = this.makeStage();
     this.morph = new Morph((part) => this.setMark("state", part));
@@ -18,15 +11,37 @@ class Controls {
     this.theme = new Theme((theme) => {
       if (this.stage) this.stage.paint(theme);
     });
-    this.drive = this.makeDrive();
-    this.arrange();
     wireControls(this);
+    this.begin();
     this.mapPanel = new MapPanel(this.stage && this.stage.map, scene.colourBytes, () => this.stage.redraw());
+    if (this.stage) this.stage.begin();
+  }
+
+  /** Make a scene the page's own, with its last state and its first row. */
+  take(scene) {
+    this.scene = scene;
+    this.table = new PoseTable(scene);
+    scene.colourBytes = decode(scene.colours, Uint8ClampedArray);
+    for (const robot of [scene.solid, scene.ghost].filter(Boolean)) robot.values = decode(robot.values, Float32Array);
+    this.panel = new Panel(scene, this.table);
+    this.state = scene.states.includes("after") ? "after" : "before";
+    this.part = 0; // of readings, whose errors are shown
+    this.row = 0;
+    this.live = null; // what a live program shows instead of a pose
+    this.vectorFactors = scene.parts.map(({ vector_factors }) => ({ ...vector_factors }));
+    this.ghostFactor = scene.ghost_factor;
+  }
+
+  /** Show the scene that was taken. Sliders of the motors need no 3D view: the numbers work without it. */
+  begin() {
+    const { scene } = this;
+    const tree = this.stage ? this.stage.tree : new Tree(scene.bodies);
+    this.drive = new DrivePanel(scene, tree, { solid: scene.solid, ghost: scene.ghost }, (state) => this.showLive(state));
+    this.arrange();
     this.filter();
     this.applyState();
     this.applyVisibility();
     this.go(0);
-    if (this.stage) this.stage.begin();
   }
 
   /** The 3D stage; null where the browser has no WebGL: the numbers work without it. */
@@ -55,35 +70,13 @@ class Controls {
   /** Show another scene of the same robot in place of the present one; the camera stays where a hand has put it. */
   renew(scene) {
     this.player.pause();
-    this.scene = scene;
-    this.table = new PoseTable(scene);
-    scene.colourBytes = decode(scene.colours, Uint8ClampedArray);
     for (const id of ["summary", "notes", "remarks", "drive-sliders", "part"]) document.getElementById(id).replaceChildren();
+    this.take(scene);
     this.groups.table = this.table; // what the reader has hidden stays hidden
-    this.panel = new Panel(scene, this.table);
-    this.state = scene.states.includes("after") ? "after" : "before";
-    this.part = 0;
-    this.row = 0;
-    this.live = null;
     if (this.stage) this.stage.renew(scene, this.table.n ? this.makeMarks(this.stage.THREE) : null);
-    this.drive = this.makeDrive();
-    this.arrange();
-    this.filter();
-    this.applyState();
-    this.applyVisibility();
     this.theme.use(document.getElementById("dark").checked);
-    this.go(0);
+    this.begin();
     if (this.stage && this.stage.direction) this.resetCamera();
-  }
-
-  /** Sliders of the motors; they need no 3D view: the numbers work without it. */
-  makeDrive() {
-    const { scene } = this;
-    const tree = this.stage ? this.stage.tree : new Tree(scene.bodies);
-    const posed = (data) => (data ? { ...data, values: decode(data.values, Float32Array) } : null);
-    const robots = { solid: posed(scene.solid), ghost: posed(scene.ghost) };
-    document.getElementById("drive-back").onclick = () => this.go(this.row);
-    return new DrivePanel(scene, tree, robots, (state) => this.showLive(state));
   }
 
   /** Which controls the scene has use for, and how they stand at first. */
@@ -102,10 +95,7 @@ class Controls {
     document.getElementById("robot-name").textContent = this.scene.ghost ? "Calibrated robot" : "Robot";
     this.wirePart();
     this.groups.offer(this.part);
-    this.vectorFactors = this.scene.parts.map(({ vector_factors }) => ({ ...vector_factors }));
-    this.ghostFactor = this.scene.ghost_factor;
-    const ghost = document.getElementById("ghost-factor");
-    if (ghost.show) ghost.show(this.ghostFactor);
+    document.getElementById("ghost-factor").show(this.ghostFactor);
     document.getElementById("point-size-row").hidden = this.table.n === 0;
     document.getElementById("show-vectors").closest(".row").hidden = this.scene.states.length === 0;
   }

@@ -203,15 +203,10 @@ class DrivePanel {
   get ready() {
     if (this.start) {
       const { motors, row } = this.start;
-      this.closed = this.driven.every(([name, robot]) => robot.start(motors, this.row(name, row)));
+      this.closed = this.driven.every(([name, robot]) => robot.start(motors, valuesAt(this.robots[name], row)));
       this.start = null;
     }
     return this.closed;
-  }
-
-  row(name, row) {
-    const { values, width } = this.robots[name];
-    return Array.from(values.subarray(row * width, (row + 1) * width));
   }
 
   moved(i) {

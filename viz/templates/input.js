@@ -52,6 +52,7 @@ function wireControls(controls) {
   on("pose", "input", (event) => controls.go(controls.rows[Number(event.target.value)]));
   on("previous", "click", () => controls.step(-1));
   on("next", "click", () => controls.step(1));
+  on("drive-back", "click", () => controls.go(controls.row));
   on("reset-camera", "click", () => controls.resetCamera());
   on("save-picture", "click", () => controls.savePicture());
   document.getElementById("save-picture").hidden = !controls.stage;

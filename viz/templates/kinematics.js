@@ -36,6 +36,11 @@ function jointMotion(axis, value, slides) {
           d * x * z - s * y, d * y * z + s * x, c + d * z * z, 0];
 }
 
+/** A robot's joint values in a pose. */
+function valuesAt({ values, width }, pose) {
+  return values.subarray(pose * width, (pose + 1) * width);
+}
+
 class Tree {
   /** @param bodies parents, axes, sliding, columns, base: see Bodies in viz/bodies.py. */
   constructor(bodies) {

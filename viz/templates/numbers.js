@@ -26,19 +26,25 @@ function element(name, attributes = {}, ...children) {
   return node;
 }
 
+/** An element of a drawing. */
+function svgElement(name, attributes, ...children) {
+  const node = document.createElementNS("http://www.w3.org/2000/svg", name);
+  Object.entries(attributes).forEach(([key, value]) => node.setAttribute(key, value));
+  node.append(...children);
+  return node;
+}
+
+/** A row of a table. @param head the text of its first cell @param cells those of the others */
+function tableRow(head, cells, attributes = {}) {
+  return element("tr", attributes, element("th", { scope: "row" }, head), ...cells.map((text) => element("td", {}, text)));
+}
+
 /** The mark of a group, the cross of outliers, or the ring of the chosen pose, as an inline picture. */
 function markPicture(mark) {
-  const drawing = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  drawing.setAttribute("viewBox", "0 0 14 14");
-  drawing.setAttribute("class", "mark");
-  drawing.setAttribute("aria-hidden", "true");
-  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
-  path.setAttribute("d", MARK_PATHS[mark]);
-  path.setAttribute("fill", { cross: "currentColor", alarm: "#d91414", ring: "transparent" }[mark] || "#9fb0c2");
-  path.setAttribute("stroke", mark === "ring" ? "#cc0d59" : "currentColor");
-  path.setAttribute("stroke-width", mark === "cross" ? "0.5" : "1.6");
-  drawing.append(path);
-  return drawing;
+  const path = svgElement("path", { d: MARK_PATHS[mark],
+    fill: { cross: "currentColor", alarm: "#d91414", ring: "transparent" }[mark] || "#9fb0c2",
+    stroke: mark === "ring" ? "#cc0d59" : "currentColor", "stroke-width": mark === "cross" ? "0.5" : "1.6" });
+  return svgElement("svg", { viewBox: "0 0 14 14", class: "mark", "aria-hidden": "true" }, path);
 }
 
 /** Round values between two limits and where they stand on the bar, 0 to 1. */

@@ -1,8 +1,6 @@
 // The panel: numbers of the chosen pose, legend and summary. It only reads the scene and writes text.
 "use strict";
 
-const THREE_NUMBERS = [0, 1, 2];
-
 class Panel {
   /** @param table a PoseTable */
   constructor(scene, table) {
@@ -40,22 +38,32 @@ class Panel {
     const both = summary.filter((row) => row.before && row.after);
     if (both.length) {
       const judged = both.find((row) => row.group === "validation") || both[0];
-      place.append(element("p", { class: "numbers" }, element("strong", { id: "error-before" }, millimetres(judged.before.rms)),
-        "\u2192", element("strong", { id: "error-after" }, millimetres(judged.after.rms)), element("strong", {}, "mm")),
-        element("p", {}, `position error (RMS) before and after calibration, ${judged.count} ${judged.group} poses`));
+      place.append(...this.headline(judged.before.rms, judged.after.rms, "mm",
+        `position error (RMS) before and after calibration, ${judged.count} ${judged.group} poses`));
     }
     if (summary.length) {
-      const head = [element("tr", {}, element("th", {}, ""), ...["before", "after"].map((text) => element("th", { scope: "colgroup", colspan: "2" }, text))),
-        element("tr", {}, ...["Error [mm]", "RMS", "max", "RMS", "max"].map((text) => element("th", { scope: "col" }, text)))];
-      const body = summary.map((row) => element("tr", {}, element("th", { scope: "row" }, `${row.group} (${row.count})`),
-        ...[row.before, row.after].flatMap((part) => [part ? part.rms : NaN, part ? part.max : NaN]).map((value) => element("td", {}, millimetres(value)))));
-      place.append(element("table", {}, element("thead", {}, ...head), element("tbody", {}, ...body)));
+      place.append(this.errorTable("Error [mm]", summary.map((row) => [`${row.group} (${row.count})`,
+        ...[row.before, row.after].flatMap((part) => [part ? part.rms : NaN, part ? part.max : NaN])])));
     }
     place.append(...this.others(!both.length), ...this.certainty());
     if (!summary.length && !this.scene.others.length) {
       place.append(element("p", {}, this.table.n ? "Predicted positions; no points were measured here."
         : "No poses: the robot in its home configuration."));
     }
+  }
+
+  /** An error before and after calibration in large letters, and what it is. */
+  headline(before, after, unit, text) {
+    return [element("p", { class: "numbers" }, element("strong", { id: "error-before" }, millimetres(before)), "\u2192",
+      element("strong", { id: "error-after" }, millimetres(after)), element("strong", {}, unit)), element("p", {}, text)];
+  }
+
+  /** @param rows name, and RMS and largest error before and after */
+  errorTable(title, rows) {
+    const head = element("tr", {}, ...[title, "RMS", "max", "RMS", "max"].map((text) => element("th", { scope: "col" }, text)));
+    const above = element("tr", {}, element("th", {}, ""), ...["before", "after"].map((text) => element("th", { scope: "colgroup", colspan: "2" }, text)));
+    const body = rows.map(([name, ...errors]) => tableRow(name, errors.map(millimetres)));
+    return element("table", {}, element("thead", {}, above, head), element("tbody", {}, ...body));
   }
 
   /** Errors of what is read beside positions, in their own units; the first as a headline where there are no positions. */
@@ -65,15 +73,11 @@ class Panel {
     for (const { of, part, unit, sets, space } of this.scene.others) {
       if (first && !parts.length) {
         const judged = sets.find(({ group }) => group === "validation") || sets.find(({ group }) => group === "cross_validation") || sets[0];
-        parts.push(element("p", { class: "numbers" }, element("strong", {}, millimetres(judged.before[0])), "\u2192",
-          element("strong", {}, millimetres(judged.after[0])), element("strong", {}, unit)),
-        element("p", {}, `${part} error of ${of} (RMS) before and after calibration, ${named[judged.group] || judged.group} poses`
+        parts.push(...this.headline(judged.before[0], judged.after[0], unit,
+          `${part} error of ${of} (RMS) before and after calibration, ${named[judged.group] || judged.group} poses`
           + (space ? `; at the measured points, that is ${millimetres(space[0])} \u2192 ${millimetres(space[1])} mm` : "")));
       }
-      const head = element("tr", {}, ...[`${of}: ${part} [${unit}]`, "RMS", "max", "RMS", "max"].map((text) => element("th", { scope: "col" }, text)));
-      const above = element("tr", {}, element("th", {}, ""), ...["before", "after"].map((text) => element("th", { scope: "colgroup", colspan: "2" }, text)));
-      parts.push(element("table", {}, element("thead", {}, above, head), element("tbody", {}, ...sets.map(({ group, before, after }) =>
-        element("tr", {}, element("th", { scope: "row" }, named[group] || group), ...[...before, ...after].map((value) => element("td", {}, millimetres(value))))))));
+      parts.push(this.errorTable(`${of}: ${part} [${unit}]`, sets.map(({ group, before, after }) => [named[group] || group, ...before, ...after])));
     }
     if (first && this.scene.others.length && this.scene.others[0].several) { // a headline, its table, and those of each
       parts.push(element("details", {}, element("summary", {}, "Each instrument"), ...parts.splice(3)));
@@ -120,7 +124,7 @@ class Panel {
     const { table, scene } = this;
     const head = document.getElementById("pose-head");
     const readings = table.readings[row];
-    const at = (values, scale = 1e3) => THREE_NUMBERS.map((i) => scale * values[3 * row + i]);
+    const at = (values, scale = 1e3) => [0, 1, 2].map((i) => scale * values[3 * row + i]);
     const measured = at(table.measured);
     const seen = measured.every(Number.isFinite);
     head.replaceChildren(element("span", { class: "name" }, `Pose ${table.labels[row]}${table.several[table.part[row]] ? `, ${table.targets[row]}` : ""}`),
@@ -166,8 +170,7 @@ class Panel {
     node.querySelector("tbody").replaceChildren(...scene.states.map((one) => {
       const parts = several ? [...table.components(one, row), table.error(one, row)] : table.components(one, row);
       const numbers = inSpace ? [...parts, table.arrow(one, row)] : parts;
-      return element("tr", one === state ? { class: "now" } : {}, element("th", { scope: "row" }, `error ${one}`),
-        ...numbers.map((value) => element("td", {}, fixed(value, 4))));
+      return tableRow(`error ${one}`, numbers.map((value) => fixed(value, 4)), one === state ? { class: "now" } : {});
     }));
   }
 
@@ -195,8 +198,7 @@ class Panel {
   /** @param lines name, numbers, decimals, and whether it is the state that is shown */
   positions(lines) {
     document.querySelector("#position tbody").replaceChildren(...lines.map(([name, values, decimals, now]) =>
-      element("tr", now ? { class: "now" } : {}, element("th", { scope: "row" }, name),
-        ...[0, 1, 2, 3].map((i) => element("td", {}, i < values.length ? fixed(values[i], decimals) : "")))));
+      tableRow(name, [0, 1, 2, 3].map((i) => (i < values.length ? fixed(values[i], decimals) : "")), now ? { class: "now" } : {})));
   }
 
   /** Joint values [m or rad] in as many columns as the longest name leaves room for. */
@@ -205,8 +207,7 @@ class Panel {
     const letters = Math.max(0, ...rows.map(([name]) => Math.min(name.length, 24) + 13)); // 13: -1234.56 deg
     const body = document.querySelector("#joints tbody");
     body.style.setProperty("--letters", letters);
-    body.replaceChildren(...rows.map(([name, value]) =>
-      element("tr", {}, element("th", { scope: "row" }, name), element("td", {}, value))));
+    body.replaceChildren(...rows.map(([name, value]) => tableRow(name, [value])));
   }
 
   /** Buttons for the poses with the largest errors among the visible rows; the focus stays at its place in the list. */

@@ -23,12 +23,10 @@ class Stage {
     }
     this.root = this.viewer.scene_tree.find(["meshcat"]).object;
     this.tree = new Tree(scene.bodies);
-    this.solid = this.posed(scene.solid);
-    this.ghost = scene.ghost ? this.posed(scene.ghost) : null;
     this.groups = scene.body_paths.map((name) => this.viewer.scene_tree.find(["meshcat", "robot", name]).object);
     this.groups.forEach((group) => { group.matrixAutoUpdate = false; });
     this.size = this.sizeOf(scene);
-    this.ghostGroups = this.ghost ? this.makeGhost() : [];
+    this.ghostGroups = scene.ghost ? this.makeGhost() : [];
     this.makeFrames();
     this.makeFloor();
     this.ghostFactor = 1;
@@ -51,14 +49,6 @@ class Stage {
 
   sizeOf({ view: { low, high } }) {
     return Math.hypot(...[0, 1, 2].map((i) => high[i] - low[i]));
-  }
-
-  posed(data) {
-    return { ...data, values: decode(data.values, Float32Array) };
-  }
-
-  row(robot, pose) {
-    return robot.values.subarray(pose * robot.width, (pose + 1) * robot.width);
   }
 
   light() {
@@ -151,9 +141,7 @@ class Stage {
     this.size = this.sizeOf(scene);
     this.viewer.scene.remove(this.grid);
     this.makeFloor();
-    this.solid = this.posed(scene.solid);
-    if (scene.ghost && !this.ghost) this.ghostGroups = this.makeGhost();
-    this.ghost = scene.ghost ? this.posed(scene.ghost) : null;
+    if (scene.ghost && !this.ghostRoot) this.ghostGroups = this.makeGhost();
     this.live = null;
     if (this.marks) {
       this.root.remove(...this.marks.objects);
@@ -201,16 +189,16 @@ class Stage {
   /** Move robot, ghost and frames to a pose, or to joint values given by a live program. */
   showPose(pose) {
     this.pose = pose;
-    const solidValues = this.live ? this.live.solid : this.row(this.solid, pose);
-    this.solidMatrices = this.tree.matrices(this.solid, solidValues);
+    const { solid, ghost } = this.scene;
+    const solidValues = this.live ? this.live.solid : valuesAt(solid, pose);
+    this.solidMatrices = this.tree.matrices(solid, solidValues);
     this.place(this.groups, this.solidMatrices);
-    if (this.ghost) {
-      const ghostValues = this.live ? this.live.ghost : this.row(this.ghost, pose);
-      this.ghostMatrices = this.tree.exaggerated(this.solidMatrices, this.tree.matrices(this.ghost, ghostValues),
-                                                 this.ghostFactor);
+    if (ghost) {
+      const ghostValues = this.live ? this.live.ghost : valuesAt(ghost, pose);
+      this.ghostMatrices = this.tree.exaggerated(this.solidMatrices, this.tree.matrices(ghost, ghostValues), this.ghostFactor);
       this.place(this.ghostGroups, this.ghostMatrices);
     }
-    const poses = this.tree.poses(this.solid, solidValues);
+    const poses = this.tree.poses(solid, solidValues);
     for (const frame of this.frames) {
       frame.triad.matrix.set(...poses[frame.body], 0, 0, 0, 1);
     }

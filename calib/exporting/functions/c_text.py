@@ -156,7 +156,6 @@ def _tree(name: str, tree: FunctionTree) -> str:
 
 
 def _columns(placement: FloatArray) -> FloatArray:
-    """The twelve numbers of a pose, column by column."""
     return placement[:3].T.ravel()
 
 
@@ -177,7 +176,6 @@ def _literal(value: Any) -> str:
 
 
 def _array(declared: str, values: Iterable[float]) -> str:
-    """A table of numbers, in lines."""
     text = list(map(_number, values))
     return _structs(declared, [", ".join(text[k : k + 5]) for k in range(0, len(text), 5)])
 

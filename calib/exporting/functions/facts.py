@@ -242,7 +242,6 @@ def _gravity(robot: Robot, commands: FloatArray) -> Gravity:
 
 
 def _base(robot: Robot) -> FloatArray | None:
-    """The pose of the measurement frame in the root link, unless joints move it."""
     mechanism, frame = robot.mechanism, robot.mechanism.targets[0].a
     joints = np.flatnonzero(mechanism.support[frame])
     if np.any(mechanism.select_moving[joints]):

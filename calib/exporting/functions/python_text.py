@@ -30,12 +30,7 @@ _OF_LIBRARY: dict[str, tuple[str, ...]] = {
 
 
 def python_text(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
-    """Return the Python file of a robot.
-
-    Args:
-        library: `numpy`, `jax`, `torch` or `casadi`.
-        lines: Comments on the origin of the numbers.
-    """
+    """Return the Python file of a robot for a library; `lines` are comments on the origin of the numbers."""
     parts = [_docstring(facts, library, lines), template(f"python_{library}"), _numbers(facts)]
     if library == "casadi":
         return "".join([*parts, template("casadi_code")])
@@ -60,7 +55,6 @@ def _docstring(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
 
 
 def _numbers(facts: RobotFacts) -> str:
-    """The facts as Python."""
     entries: dict[str, Any] = {
         "JOINTS": facts.joints,
         "UNITS": facts.units,

@@ -116,10 +116,8 @@ def tree_of(
 ) -> FunctionTree:
     """Return the facts of a mechanism.
 
-    Args:
-        frames: Joint indices of the frames of interest, which come before those of the loops.
-        starts: Closed configurations, home first, (n_starts, n_driven + n_passive) [m or rad].
-        from_root: Whether the world is the root link.
+    The joints `frames` are the frames of interest, which come before those of the loops; `starts` are closed
+    configurations, home first, (n_starts, n_driven + n_passive) [m or rad].
     """
     ends = [index for loop in mechanism.loops for index in (loop.a, loop.b)]
     indices = [*frames, *ends]

@@ -31,8 +31,7 @@ from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.lens_choice import LENSES
 from calib.photographs.mistakes import Mistake
 from calib.photographs.pages import exaggeration, figure
-from calib.photographs.pose_pairs import PosePairs, solve_pairs
-from calib.photographs.pose_pairs_result import content_of_pairs, judge_pairs, report_pairs
+from calib.photographs.pose_pairs import PosePairs, content_of_pairs, judge_pairs, report_pairs, solve_pairs
 from calib.photographs.scene import Mount, scene_of
 from calib.photographs.tool_poses import ANGLES, image_names, match_images, pose_columns, poses_of, read_tool_poses
 from calib.pictures import installed
@@ -250,7 +249,6 @@ def _tool_poses(
 
 
 def _read_detected(path: str, board: Board) -> list[DetectedImage]:
-    """Detected images from a file of `calib detect`."""
     table = read_table(path, {})
     size = next((match for text in table.comments if (match := _SIZE.search(text))), None)
     if size is None:
@@ -279,7 +277,6 @@ def _read_detected(path: str, board: Board) -> list[DetectedImage]:
 
 
 def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedImage], small: dict[str, bytes]) -> bytes:
-    """The page of photographs, with arrows from detected to predicted points."""
     scene, images = result.scene, {image.name: image for image in detected_images}
     factor = exaggeration(result.pixels, scene.size[0])
     each, on = result.rms_by_image(result.pixels), 1e3 * result.rms_by_image(result.board)
@@ -291,7 +288,7 @@ def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedIma
         caption = f"{each[i]:.2f} px, {on[i]:.2f} mm on the board"
         figures.append((i, figure(shown, small.get(name, b""), caption, arrows)))
     for image in result.outlying_images:  # they belong to no mark of a plot
-        caption = f"left out: {image.rms:.1f} px off"
+        caption = f"left out: {image.rms_px:.1f} px off"
         figures.append((-1, figure(images[image.name], small.get(image.name, b""), caption, is_outlying=True)))
     text = f"Arrows: from where points were found to where they should be, {factor:g} times as long"
     text += "".join(f"\n{number.value}: counts {', '.join(names_of(own))}" for number, own in result.contains.items())

@@ -194,7 +194,6 @@ def _reaching(choose: Callable[[int, str], Selection], goal: float, most: int) -
 
 
 def _counts(text: str) -> int | dict[str, int]:
-    """The number of poses, or the number for each instrument."""
     parts = [part.strip().rpartition("=") for part in text.split(",")]
     if not all(number.strip().lstrip("-").isdecimal() and bool(name) == bool(sign) for name, sign, number in parts):
         raise InputError(f"--count {text}: must be a number, or one for each instrument, such as tracker=12,sockets=18")
@@ -207,7 +206,6 @@ def _counts(text: str) -> int | dict[str, int]:
 
 
 def _candidate_numbers(text: str, poses: Poses) -> list[int]:
-    """Candidate numbers from names and ranges of numbers."""
     number_of = {name: k for k, name in enumerate(poses.names)}
     excluded: list[int] = []
     for item in (part.strip() for part in text.split(",")):

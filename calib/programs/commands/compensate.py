@@ -28,8 +28,7 @@ from calib.core.data.table_writing import format_table
 from calib.core.data.tables import read_table
 from calib.core.results.result_reading import load_result, read_content
 from calib.core.robots.robot import Robot
-from calib.programs.commands.compensate_gcode import compensate_gcode
-from calib.programs.commands.compensate_program import compensate_controller
+from calib.programs.commands.compensate_program import compensate_controller, compensate_gcode
 from calib.programs.commands.report import Job, figures_of, frame_words, no_correction_sentence, summary
 from calib.programs.languages import languages
 from calib.programs.languages.controller_program import COUPLED
@@ -206,7 +205,6 @@ def _read_program(path: str, robot: Robot, output: Output) -> Poses | Goals:
 
 
 def _require_all(compensation: Compensation, frame: str) -> None:
-    """Raise `UnreachablePoseError` that names the rows without a command."""
     misses = compensation.unreached_rows()
     if misses:
         raise UnreachablePoseError(

@@ -16,27 +16,21 @@ from calib.core.base.contributions import names_of
 from calib.core.commands.common import Output, failure_lines
 from calib.core.robots.robot import Robot
 from calib.core.rows.known_robot import KnownRobot
-from calib.programs.languages.straight_moves import CompensatedMoves
 from calib.programs.reaching.compensation import Compensation
-from calib.programs.reaching.expected_errors import ExpectedError
+from calib.programs.reaching.expected_errors import FramedErrors
 
 Figures = Mapping[str, Mapping[str, float]]
 """Summaries (`rms` and `max`) by name with unit, such as `before_mm`."""
 
 
-def frame_words(errors: ExpectedError | Compensation | CompensatedMoves) -> str:
+def frame_words(errors: FramedErrors) -> str:
     """Return the frame in which errors count, and their contributions."""
-    return f"errors are {errors.frame}; expected errors count {_contributions(errors)}"
+    return f"errors are {errors.frame}; expected errors count {errors.counted}"
 
 
-def frame_sentences(errors: ExpectedError | Compensation | CompensatedMoves) -> str:
+def frame_sentences(errors: FramedErrors) -> str:
     """Return `frame_words` as two sentences."""
-    return f"Errors are {errors.frame}.\nExpected errors count {_contributions(errors)}."
-
-
-def _contributions(errors: ExpectedError | Compensation | CompensatedMoves) -> str:
-    """The contributions by name; results of format version 1 do not say them."""
-    return ", ".join(names_of(errors.contains)) or "what the calibration counted"
+    return f"Errors are {errors.frame}.\nExpected errors count {errors.counted}."
 
 
 def no_correction_sentence(result: str) -> str:
@@ -54,9 +48,7 @@ def expected_error_sentence(
 ) -> str:
     """Return a sentence on the expected error with the correction and, unless `before` is None, without it.
 
-    Args:
-        subject: Subject of the sentence, such as `The tool`.
-        expected, before: `summary` of the errors with and without the correction, in `unit`.
+    `expected` and `before` are `summary` of the errors with and without the correction, in `unit`.
     """
     now = (
         f"{subject} is expected to be off by {expected['rms']:.4f} {unit} (RMS), {expected['max']:.4f} {unit} at worst"
@@ -98,7 +90,7 @@ class Job:
 
     def report(
         self,
-        compensated: Compensation | CompensatedMoves,
+        compensated: FramedErrors,
         figures: Figures,
         content: Mapping[str, object],
         what: tuple[str, str, str],

@@ -123,7 +123,6 @@ def _expected_error_lines(solution: Solution, reached: IntArray, source: str) ->
 
 
 def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, ...]) -> str:
-    """CSV text of the reached goals, with the conditions at each."""
     reached = np.flatnonzero(solution.ok)
     reached_goals = goals.subset(reached)
     columns: dict[str, list[object]] = {"pose": list(reached_goals.names)}

@@ -107,7 +107,6 @@ def _one_orientation(robot: Robot, program: Goals) -> FloatArray | None:
 
 
 def _axes(positions: FloatArray, counts: tuple[int, int, int]) -> list[FloatArray]:
-    """Coordinates of the nodes along each axis."""
     axes = []
     for axis, low, high, count in zip("xyz", positions.min(axis=0), positions.max(axis=0), counts, strict=True):
         if count < 1 or (count == 1) != (low == high):

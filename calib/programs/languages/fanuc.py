@@ -39,7 +39,6 @@ _STATE = ("UFRAME", "UTOOL", *_NUMBERED)
 
 
 def _sections(source: ProgramSource) -> tuple[slice, slice]:
-    """The text ranges of the instructions and of the positions of a program."""
     sections = {match[1]: match for match in reversed([*_SECTION.finditer(source.text)])}
     if not {"MN", "POS"} <= set(sections) or sections["MN"].start() > sections["POS"].start():
         raise DataError(f"{source.path}: has no /MN and /POS sections; save the program as text (LS)")
@@ -110,7 +109,6 @@ def _number_at(code: ProgramWords, at: int) -> str:
 
 
 def _positions(source: ProgramSource, part: slice) -> dict[str, _FanucPosition]:
-    """The positions of a section by their numbers as text."""
     code, positions = ProgramWords(source, _WORDS, lines="blank", part=part), dict[str, _FanucPosition]()
     for at in code.names(0, len(code.tokens) - 5):
         opening = code.partner[at + 1] + 1
@@ -231,7 +229,6 @@ class FanucReader(Reader):
                 self.call_elsewhere(code.excerpt(called, called + 1), code.line(at))
 
     def _assignment(self, at: int, stop: int, equals: int) -> None:
-        """Process an assignment to registers, outputs, frames and positions."""
         code, word = self.code, self.code.tokens[at].text
         names, value = self.names(at + 1, stop), code.excerpt(equals + 1, stop)
         positions = {name for name in names if name.startswith("P[")}
@@ -294,14 +291,12 @@ class FanucReader(Reader):
         return self.positions[name[2:-1]]
 
     def _require_known(self, options: Span) -> None:
-        """Raise `LeftOutError` for an unknown motion option."""
         for at in self.code.names(*options):
             known = self.code.tokens[at].text.rstrip("0123456789") in FANUC_OPTIONS | {*_CHANGED}
             if not known and self.code.tokens[at - 1].text != "CALL":
                 raise LeftOutError(f"has an option that is not known here ({self.code.excerpt(at, at + 1)})")
 
     def _target(self, position: _FanucPosition, state: State, changed: int | None) -> Reached:
-        """The target of a motion."""
         why = self.uses.why_not(position.name) or self.uses.why_not("P[*]")
         if changed is not None:
             why = "is computed at run time (INC)"

@@ -117,7 +117,6 @@ class _GcodeReader:
         self.since = f"{word:.40} (line {line.where.rpartition(' ')[2]})"
 
     def _forget(self, word: str, line: GcodeLine) -> None:
-        """Process an unknown word."""
         self._mark_moved(word, line)
         self.relative, self.e_relative, self.e = None, None, None
         self.unit = None if self.dialect.inches else MILLIMETRE
@@ -130,7 +129,6 @@ class _GcodeReader:
         self.shifted = self.shifted or (self.since if self.moves else "")
 
     def _name(self, line: GcodeLine) -> None:
-        """Process a command that is a name (`START_PRINT`)."""
         if line.name in CONDITIONAL:
             raise line.refusal(f"{line.name} depends on values that are not known here; write out the lines that run")
         given = {key.upper(): value for key, _, value in (part.partition("=") for part in line.rest.split())}
@@ -164,7 +162,6 @@ class _GcodeReader:
             self._forget(word, line)
 
     def _take(self, number: int, line: GcodeLine) -> None:
-        """Process a line of words."""
         require_words(line, self.dialect)
         for word in line.codes:
             if word in ("M82", "M83"):

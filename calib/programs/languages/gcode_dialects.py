@@ -26,7 +26,6 @@ def parse_words(text: str) -> frozenset[str]:
 
 
 def _listed(name: str) -> frozenset[str]:
-    """The words of a list in `harmless.txt`."""
     return parse_words(" ".join(LISTS[name]))
 
 

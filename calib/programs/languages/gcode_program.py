@@ -74,12 +74,11 @@ class GcodeProgram:
         return f"{self.path}, line {move.line + 1}"
 
     def rewritten(self, ways: Sequence[FloatArray] | None, comments: Sequence[str] = ()) -> str:
-        """Return the text of the program with other points.
+        """Return the text of the program with other points, and comments first, after the mark that starts a tape
+        (`%`).
 
-        Args:
-            ways: Points through which each move goes in straight lines, the last of which is its end,
-                (n_pieces, 3) [m]; None: all lines stay unchanged.
-            comments: Lines to put first, after the mark that starts a tape (`%`).
+        `ways` are points through which each move goes in straight lines, the last of which is its end, (n_pieces, 3)
+        [m]; None: all lines stay unchanged.
 
         Raises:
             DataError: A move with E is cut, and the program does not define what E means.

@@ -224,7 +224,6 @@ class KrlReader(Reader):
         return components
 
     def _cells(self, data: Data, names: Sequence[str]) -> tuple[Number, ...]:
-        """Return the named components as numbers."""
         components = self._components(data) or {}
         units = [MILLIMETRE if name in "XYZ" else DEGREE for name in names]
         return self.sources[data.file].numbers([components[name] for name in names], units)
@@ -242,7 +241,6 @@ class KrlReader(Reader):
         return Frame(pose_of([cell.value for cell in cells], "zyx"), (data.place,) if data.name else ())
 
     def _frame(self, span: Span, state: State) -> Frame | Unknown:
-        """Value of a tool or base."""
         if self.code.bracket_content(*span, "{"):
             return self._frame_of(Data("", 0, span)) or Unknown("is not six plain numbers")
         return self.frame_named(self.code.text(*span), state)
@@ -268,7 +266,6 @@ class KrlReader(Reader):
         return Unknown(f"{shown} is not known here; give $config.dat with --frames", whole=True)
 
     def _form(self, form: Hashable, state: State) -> dict[str, Hashable]:
-        """Tool, base and interpolation mode of an inline form."""
         if isinstance(form, Unknown):
             return dict.fromkeys(_SELECTED, form)
         name, members = str(form), dict[str, str]()
@@ -295,7 +292,6 @@ class KrlReader(Reader):
             self.flow.change([name], lambda state: {**state, name: value(state) if value else Unknown(why)})
 
     def _select_assigned(self, at: int, stop: int, equals: int) -> None:
-        """Process an assignment that may select tool or base."""
         code, word, line = self.code, self.code.tokens[at].text, self.code.line(at)
         number = code.number(at + 2, equals - 1) if code.is_mark(at + 1, "[") and equals > at + 3 else None
         whole = code.partner[at + 1] + 1 if number else at + 1  # after the element of an array
@@ -342,11 +338,9 @@ class KrlReader(Reader):
         return self.code.line_end(at)
 
     def _save(self, key: str) -> None:
-        """Save the selected tool and base under a key."""
         self.flow.change([key], lambda state: {**state, key: tuple(state[name] for name in _SELECTED)})
 
     def _restore(self, key: str) -> None:
-        """Restore the tool and base that were saved under a key."""
 
         def restored(state: State) -> State:
             saved = state.get(key)
@@ -382,7 +376,6 @@ class KrlReader(Reader):
         self.go(spans, state, lambda span: self._data(span, bool(relative)), self._target)
 
     def _data(self, span: Span, relative: bool) -> Data:
-        """The numbers of a target, written out or declared."""
         code, name = self.code, self.code.text(*span)
         if relative:
             raise LeftOutError("is relative to where the robot is")

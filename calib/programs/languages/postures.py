@@ -91,13 +91,10 @@ class NominalCell:
     def solve(
         self, flange: pin.SE3, before: FloatArray, says: Configuration | None, sides: Sides
     ) -> tuple[FloatArray | None, str]:
-        """Return joints (n_actuated,) [m or rad] that bring the flange to T_base_flange, or None and the reason.
+        """Return joints that bring the flange to T_base_flange, (n_actuated,) [m or rad], or None and the reason.
 
-        Args:
-            flange: T_base_flange.
-            before: Joints of the pose before, (n_actuated,) [m or rad].
-            says: The configuration that the program states.
-            sides: Sides relative to the reference pose.
+        They are near the joints of the pose before, (n_actuated,) [m or rad], in the configuration that the program
+        states.
         """
         goal = self._base_pose * flange * self._target
         goals = Goals(goal.translation[None], goal.rotation[None])
@@ -167,10 +164,8 @@ class Sides:
     def sides_at(self, q: FloatArray) -> tuple[bool | None, bool | None, bool | None, bool | None]:
         """Return whether wrist, elbow and joint 5 are on another side than in the reference, and joint 3 is bent.
 
-        None where undefined: for an arm that is no chain of six axes, and on the border of two sides.
-
-        Args:
-            q: Joints, (n_actuated,) [m or rad].
+        None where undefined: for an arm that is no chain of six axes, and on the border of two sides. Joints q are
+        (n_actuated,) [m or rad].
         """
         if not self._known:
             return None, None, None, None

@@ -258,12 +258,10 @@ class RapidReader(Reader):
         return names, bool(self.names(*span) & {*_REFERENCES})
 
     def _parts(self, span: Span) -> list[Span]:
-        """Return the spans between the commas in brackets."""
         inside = self.code.bracket_content(*span, "[")
         return self.code.split(*inside) if inside else []
 
     def _numbers(self, span: Span, count: int, what: str) -> list[tuple[int, int]]:
-        """The places of `count` plain numbers in brackets."""
         spans = self._parts(span)
         numbers = [self.code.number(*part) for part in spans]
         for number, part in zip(numbers, spans, strict=True):
@@ -274,7 +272,6 @@ class RapidReader(Reader):
         return [number for number in numbers if number is not None]
 
     def _values(self, span: Span, count: int, what: str) -> list[float]:
-        """Return the plain numbers in brackets."""
         return [float(self.sources[0].text[slice(*place)]) for place in self._numbers(span, count, what)]
 
     def _complete(self, data: Data) -> list[Span]:
@@ -286,7 +283,6 @@ class RapidReader(Reader):
         return parts
 
     def _pose(self, parts: Sequence[Span]) -> tuple[tuple[Number, ...], pin.SE3]:
-        """The numbers of a position and a quaternion, and the pose."""
         where = self.code.location(parts[0][0])
         if len(parts) != 2:
             raise DataError(f"{where}: a frame is written [[x,y,z],[q1,q2,q3,q4]]; correct it")
@@ -317,7 +313,6 @@ class RapidReader(Reader):
         return self.declared[name].kind == kind if name in self.declared else name in self.frames
 
     def _tool(self, word: str, spans: Sequence[Span]) -> Frame:
-        """Return the tool of a move, or raise `LeftOutError`."""
         known = [name for name in (self.code.text(*span) for span in spans) if self._is_frame(name, "TOOLDATA")]
         if not known:
             place = 4 if _TWO_TARGETS.match(word) else 3
@@ -326,7 +321,6 @@ class RapidReader(Reader):
         return self._usable(known[-1])
 
     def _work_object(self, options: Mapping[str, Span]) -> Frame:
-        """Return the work object of a move, or raise `LeftOutError`."""
         if "WOBJ" not in options:
             return Frame()
         name = self.code.text(*options["WOBJ"])
@@ -360,7 +354,6 @@ class RapidReader(Reader):
         )
 
     def _data(self, word: str, span: Span) -> Data:
-        """The data of a target that an argument writes out or names."""
         name = self.code.text(*span)
         if word.startswith("SEARCH"):
             raise LeftOutError("is where a search ends, not where the robot stops")

@@ -237,13 +237,9 @@ class Reader(Statements):
         find: Callable[[Span], _Data],
         target: Callable[[_Data, State], Reached],
     ) -> None:
-        """Process the targets of a move.
+        """Process the targets of a move, each in its span of words; without a state, the program never comes there.
 
-        Args:
-            spans: Words of each target.
-            state: Settings there; None: the program never comes there.
-            find: Returns the data of a target, or raises `LeftOutError` if they are not in the program.
-            target: Returns the target from data and settings, or raises `LeftOutError`.
+        `find` returns the data of a target, and `target` the target from data and settings; both raise `LeftOutError`.
         """
         for span in spans:
             visit = Visit(self.sources[0].path, self.code.line(span[0]), self.code.excerpt(*span))

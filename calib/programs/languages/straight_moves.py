@@ -27,7 +27,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.contributions import Contributions
 from calib.core.base.errors import ComputationError, DataError, InputError, UnreachablePoseError
 from calib.core.base.units import millimetres
 from calib.core.base.words import count_noun, listing
@@ -38,6 +37,7 @@ from calib.core.robots.terms.term import Condition
 from calib.core.rows.frames import CorrectionFrame, program_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.programs.reaching.compensation import compensate_in
+from calib.programs.reaching.expected_errors import FramedErrors, words_of
 from calib.programs.reaching.goals import Goals
 from calib.programs.reaching.inverse import TOLERANCE, problem
 from calib.programs.reaching.reaching import GoalConfigurations, descend
@@ -66,7 +66,7 @@ class StraightMoves(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class CompensatedMoves:
+class CompensatedMoves(FramedErrors):
     """Commands for the controller.
 
     Attributes:
@@ -77,9 +77,6 @@ class CompensatedMoves:
         deviations: Largest errors of each move between waypoints, (n,) [m]; NaN for a move without length or known
             start.
         n_measured: Number of points at which `deviations` was computed.
-        frame: The frame of the goals and errors, in words.
-        nothing_to_correct: Whether the moves stay unchanged because the verdict finds nothing to correct.
-        contains: Contributions to `expected`; none where they are not known.
     """
 
     waypoints: tuple[FloatArray, ...]
@@ -87,9 +84,6 @@ class CompensatedMoves:
     expected: FloatArray
     deviations: FloatArray
     n_measured: int
-    frame: str
-    nothing_to_correct: bool
-    contains: Contributions
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,9 +153,7 @@ def compensate_moves(
         np.array([way.expected for way in in_order]),
         deviations,
         n_measured,
-        frame.words,
-        frame.nothing_to_correct,
-        frame.contains,
+        **words_of(frame),
     )
 
 

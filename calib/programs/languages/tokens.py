@@ -50,7 +50,6 @@ class ProgramSource:
 
     @cached_property
     def _ends(self) -> list[int]:
-        """Ends of lines."""
         return [match.start() for match in re.finditer("\n", self.text)]
 
     def line(self, at: int) -> int:

@@ -145,7 +145,6 @@ class UrscriptReader(Reader):
         return Data("", 0, span) if span[1] > span[0] and self._numbers(span) else None
 
     def _pose(self, data: Data | None) -> Frame | None:
-        """The frame of a constant pose; else None."""
         cells = self._numbers(data.span) if data is not None and self._is_pose(data.span) else None
         if data is None or cells is None:
             return None

@@ -36,8 +36,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.contributions import Contributions
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
 from calib.core.data.in_memory import as_poses
@@ -49,7 +48,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.core.rows.frames import CorrectionFrame, as_described, program_frame
 from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
-from calib.programs.reaching.expected_errors import ExpectedError, shown_errors
+from calib.programs.reaching.expected_errors import ExpectedError, FramedErrors, shown_errors, words_of
 from calib.programs.reaching.goals import Goals, goals_of_poses
 from calib.programs.reaching.inverse import BETWEEN_SIDES, TOLERANCE, problem, with_tilts
 from calib.programs.reaching.program_task import KEEP, ProgramTask, is_reached, task_of_goals, task_of_joints
@@ -62,7 +61,7 @@ _BEYOND = 1e-9  # excess over a limit that is not rounding [m or rad]
 
 
 @dataclass(frozen=True, eq=False)
-class Compensation(ReadOnlyArrays):
+class Compensation(FramedErrors):
     """A compensated program.
 
     Attributes:
@@ -82,9 +81,6 @@ class Compensation(ReadOnlyArrays):
         before_angle, expected_angle, low95_angle, high95_angle: The same for the orientation if the pose is kept,
             for the z axis if only that is kept, (n,) [rad]; NaN if only the position is kept.
         scale: Scale of each joint: 1 rad, or its length, (n_actuated,).
-        frame: The frame of the goals and errors, in words.
-        nothing_to_correct: Whether the program stays unchanged because the verdict finds nothing to correct.
-        contains: Contributions to the expected errors; none where they are not known.
     """
 
     names: tuple[str, ...]
@@ -104,9 +100,6 @@ class Compensation(ReadOnlyArrays):
     low95_angle: FloatArray
     high95_angle: FloatArray
     scale: FloatArray
-    frame: str
-    nothing_to_correct: bool
-    contains: Contributions
 
     @cached_property
     def ok(self) -> BoolArray:
@@ -190,7 +183,6 @@ def compensate_in(frame: CorrectionFrame, program: Poses | Goals, keep: str | No
 
 
 def _compensate(frame: CorrectionFrame, task: ProgramTask) -> Compensation:
-    """The compensation of all rows that can be solved."""
     robot, n = frame.robot, len(task.goals)
     reach = problem(robot, task.goals)
     meant = np.where(np.array(task.reasons)[:, None] == "", task.goals.positions, np.nan)
@@ -234,9 +226,7 @@ def _compensate(frame: CorrectionFrame, task: ProgramTask) -> Compensation:
         low95_angle=errors.angle95[0],
         high95_angle=errors.angle95[1],
         scale=robot.mechanism.joint_scale,
-        frame=frame.words,
-        nothing_to_correct=frame.nothing_to_correct,
-        contains=frame.contains,
+        **words_of(frame),
     )
 
 

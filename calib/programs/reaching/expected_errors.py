@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.contributions import Contributions
+from calib.core.base.contributions import Contributions, names_of
 from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.core.robots.terms.term import Context
 from calib.core.rows.common_motion import target_poses
@@ -22,8 +23,28 @@ from calib.core.rows.prediction import length95, rms_length
 from calib.programs.reaching.goals import Goals
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FramedErrors(ReadOnlyArrays):
+    """Errors of a robot at goals, and what they are about.
+
+    Attributes:
+        frame: The frame of the goals and errors, in words.
+        nothing_to_correct: Whether commands stay those of the nominal robot, as the verdict finds nothing to correct.
+        contains: Contributions to the expected errors; none where they are not known.
+    """
+
+    frame: str
+    nothing_to_correct: bool
+    contains: Contributions
+
+    @property
+    def counted(self) -> str:
+        """The contributions in words; results of format version 1 do not say them."""
+        return ", ".join(names_of(self.contains)) or "what the calibration counted"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class ExpectedError(ReadOnlyArrays):
+class ExpectedError(FramedErrors):
     """Expected errors at goals; NaN where there is no command or the uncertainty of the robot is unknown.
 
     Attributes:
@@ -31,18 +52,12 @@ class ExpectedError(ReadOnlyArrays):
         distance95: Limits of the distance in 95 of 100 cases, (2, n) [m].
         angle: Root mean square angle from the orientation or z axis of the goal, (n,) [rad]; NaN if it has none.
         angle95: Limits of the angle in 95 of 100 cases, (2, n) [rad].
-        frame: Frame of the goals, in words.
-        nothing_to_correct: Whether commands are the nominal robot's, because the verdict finds nothing to correct.
-        contains: Contributions to the errors; none where they are not known.
     """
 
     distance: FloatArray
     distance95: FloatArray
     angle: FloatArray
     angle95: FloatArray
-    frame: str
-    nothing_to_correct: bool
-    contains: Contributions
 
     def __repr__(self) -> str:
         return f"<expected errors of {len(self.distance)} goals>"
@@ -57,28 +72,24 @@ class ExpectedError(ReadOnlyArrays):
     def from_frame(
         frame: CorrectionFrame, goals: Goals, commands: FloatArray, rows: IntArray, context: Context
     ) -> ExpectedError:
-        """Return the expected errors at commands for some of the goals.
-
-        Args:
-            frame: Frame of the goals.
-            goals: The goals, n of them.
-            commands: Joints for some of them, (n_rows, n_actuated) [m or rad].
-            rows: Indices of these goals, (n_rows,).
-            context: Conditions at the commands.
+        """Return the expected errors at commands (n_rows, n_actuated) [m or rad] for the goals `rows` (n_rows,), in a
+        frame.
         """
         errors = np.full((6, len(goals)), np.nan)
         if frame.known.uncertainty is not None and len(rows):
             errors[:, rows] = _errors(frame, goals.subset(rows), commands, context)
-        of_frame = frame.words, frame.nothing_to_correct, frame.contains
-        return ExpectedError(errors[0], errors[1:3], errors[3], errors[4:], *of_frame)
+        return ExpectedError(errors[0], errors[1:3], errors[3], errors[4:], **words_of(frame))
+
+
+def words_of(frame: CorrectionFrame) -> dict[str, Any]:
+    """Return the fields of `FramedErrors` in a frame."""
+    return {"frame": frame.words, "nothing_to_correct": frame.nothing_to_correct, "contains": frame.contains}
 
 
 def shown_errors(names: Sequence[str], parts: Sequence[Sequence[FloatArray]]) -> dict[tuple[str, str], FloatArray]:
-    """Return errors by name and unit in files, from SI.
+    """Return errors by name and unit in files.
 
-    Args:
-        names: Names of the errors.
-        parts: Errors of positions, each (n,) [m]; then of orientations, if these count, each (n,) [rad].
+    `parts` are errors of positions, each (n,) [m]; then of orientations, if these count, each (n,) [rad].
     """
     kinds: tuple[tuple[str, Dimension], ...] = (("", "length"), ("_angle", "angle"))
     return {

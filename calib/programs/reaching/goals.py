@@ -193,7 +193,6 @@ def _target(table: Table, robot: Robot) -> str:
 
 
 def _pure_numbers(table: Table, name: str) -> FloatArray:
-    """A column of numbers without a unit."""
     if name in table.names and table.units[table.names.index(name)]:
         raise DataError(f"{table.path}, column '{name}': a direction has no unit; write '{name}' alone")
     return table.column(name, "length")

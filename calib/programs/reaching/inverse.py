@@ -91,7 +91,6 @@ class Search:
             start, size = start + size, 2 * size
 
     def _known_configurations(self) -> GoalConfigurations:
-        """Home and all solved configurations."""
         solved = self.best.subset(np.flatnonzero(self.is_solved))
         pairs = zip(vars(self.home).values(), vars(solved).values(), strict=True)
         return GoalConfigurations(*map(np.concatenate, pairs))
@@ -319,16 +318,9 @@ def problem(robot: Robot, goals: Goals) -> Reach:
 def with_tilts(
     robot: Robot, reach: Reach, index: IntArray, solution: GoalConfigurations, context: Context
 ) -> GoalConfigurations:
-    """Descend again until tilts of links and uncommanded joints agree with the commands.
+    """Descend again until tilts of links and uncommanded joints agree with the commands, for the goals `index` (n,).
 
     These values are small and nearly equal at neighbouring joint values, so each round gains digits.
-
-    Args:
-        robot: The robot.
-        reach: The problem.
-        index: Indices of the goals, (n,).
-        solution: Their solution.
-        context: The conditions of each.
     """
     for _ in range(_ROUNDS if np.any(reach.fixed_joints) and robot.terms else 0):
         commands = reach.with_uncommanded(index, commands_for(robot, solution.actuated, context))

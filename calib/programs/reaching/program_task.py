@@ -48,13 +48,9 @@ class ProgramTask:
 
 
 def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTask:
-    """Return the task of a program that gives joint values of the nominal robot.
+    """Return the task of a program that gives joint values of the nominal robot, `meant`, in the frame of the program.
 
-    Args:
-        meant: The nominal robot, in the frame of the program.
-        program: The joint values.
-        keep: Kept components, one of `KEEP`; None: the pose if the joints move the target in all directions, else the
-            position.
+    `keep` is one of `KEEP`; None: the pose if the joints move the target in all directions, else the position.
 
     Raises:
         InputError: The motors move no target.
@@ -109,10 +105,8 @@ def _moves_freely(jacobian: FloatArray, length: float) -> bool:
 def task_of_goals(nominal: Robot, meant: Robot, program: Goals) -> ProgramTask:
     """Return the task of a program that gives goals: the poses to which the nominal robot brings the tool.
 
-    Args:
-        nominal: The robot of the description, which the controller assumes.
-        meant: The nominal robot, in the frame of the program.
-        program: The goals, in the frames of the description.
+    Goals are in the frames of the description, which the controller assumes; `meant` is the nominal robot in the frame
+    of the program.
 
     Raises:
         DataError: A coordinate is free.

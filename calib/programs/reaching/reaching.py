@@ -147,13 +147,10 @@ class Reach:
     def linearise(
         self, index: IntArray, actuated: FloatArray, passive: FloatArray, closures: FloatArray | None = None
     ) -> LinearisedGoals:
-        """Return e and its derivative at closed configurations.
+        """Return e and its derivative at closed configurations, (n, n_actuated) and (n, n_passive), for the goals
+        `index`.
 
-        Args:
-            index: Index of each configuration's goal, (n,).
-            actuated: Actuated joints, (n, n_actuated) [m or rad].
-            passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
-            closures: [C_p C_a] there if known, (n, n_passive, n_passive + n_actuated).
+        `closures` are [C_p C_a] there if known, (n, n_passive, n_passive + n_actuated).
         """
         position, rotation, jacobian, by_joint = motion(self.mechanism, self.target, actuated, passive, closures)
         jacobian = jacobian * self.scale
@@ -192,16 +189,10 @@ class Reach:
     def follow(
         self, at: GoalConfigurations, linear: LinearisedGoals, trial: FloatArray
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Follow the loops from one configuration of each goal to another by the tangent and Newton.
+        """Follow the loops from closed configurations to actuated joints (n, n_actuated) by the tangent and Newton.
 
-        Args:
-            at: Configurations with closed loops.
-            linear: The derivatives there.
-            trial: Actuated joints of the other configurations, (n, n_actuated) [m or rad].
-
-        Returns:
-            Passive joints (n, n_passive) [m or rad], [C_p C_a] (n, n_passive, n_passive + n_actuated), and the mask of
-            closed loops within their limits (n,).
+        Returns passive joints (n, n_passive) [m or rad], [C_p C_a] (n, n_passive, n_passive + n_actuated), and the mask
+        of loops that are closed within their limits (n,).
         """
         if not self.mechanism.loops:
             return at.passive, np.zeros((len(trial), 0, trial.shape[1])), np.ones(len(trial), dtype=bool)
@@ -221,14 +212,7 @@ class Reach:
 def descend(
     reach: Reach, index: IntArray, start: GoalConfigurations, iterations: int = _ITERATIONS
 ) -> GoalConfigurations:
-    """Bring the target as near to its goals as the iteration from `start` goes.
-
-    Args:
-        reach: The problem.
-        index: Indices of the goals, (n,).
-        start: A closed configuration for each.
-        iterations: Largest number of trial steps.
-    """
+    """Bring the target as near to the goals `index` (n,) as so many trial steps from closed configurations go."""
     at = GoalConfigurations.unknown(start.actuated.copy(), start.passive.copy())
     if len(index) == 0:
         return at

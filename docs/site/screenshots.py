@@ -1,21 +1,20 @@
-"""Pictures of a result folder's pages in a real browser, for the documentation.
+"""Take pictures of a result folder's pages in a real browser, for the documentation.
 
-`python -m viz.screenshots DIR --out FOLDER` needs Chromium and the extra `browser` (in a checkout:
-`pip install -e '.[browser]'`).
+    python docs/site/screenshots.py DIR --out FOLDER
+
+It needs Chromium and the extra `browser` (in a checkout: `pip install -e '.[browser]'`).
 """
 
 from __future__ import annotations
 
+import argparse
 import io
 import shutil
 from pathlib import Path
 from typing import Any
 
-import click
-
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_folder
-from calib.core.commands.common import Output, shared_options
 
 DESKTOP = {"width": 1400, "height": 900}
 PHONE = {"width": 390, "height": 844}
@@ -110,18 +109,16 @@ def take_one(browser: Any, page: Path, size: dict[str, int], action: str) -> byt
     return picture
 
 
-@click.command("screenshots")
-@click.argument("folder", type=click.Path(path_type=Path))
-@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder for the PNG files.")
-@shared_options()
-def command(folder: Path, out: Path, output: Output) -> None:
-    """Take pictures of the pages in the result FOLDER."""
-    output.check(folders=(str(out),), names=[f"{name}.png" for name, *_ in PICTURES])
-    with output.working("taking pictures"):
-        taken = {name: small(picture) for name, picture in take(folder, PICTURES).items()}
-    write_folder(out, taken, force=output.force)
-    output.say("\n".join(str(out / name) for name in taken))
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path, help="folder of a result with its pages")
+    parser.add_argument("--out", required=True, type=Path, help="folder for the PNG files")
+    given = parser.parse_args()
+    taken = {name: small(picture) for name, picture in take(given.folder, PICTURES).items()}
+    write_folder(given.out, taken, force=True)
+    print("\n".join(str(given.out / name) for name in taken))
 
 
 if __name__ == "__main__":
-    command()
+    main()

@@ -1,9 +1,9 @@
 """Pictures for the documentation: what is missing is said in one line. Taking them is tested in tests/browser."""
 
 import pytest
+from screenshots import chromium, take
 
 from calib.core.base.errors import InputError
-from viz.screenshots import chromium, take
 
 
 def test_a_folder_without_pages_is_an_error(tmp_path):

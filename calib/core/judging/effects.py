@@ -119,8 +119,8 @@ class Waves(Effects):
 
     def factors(self, visits: IntArray) -> FloatArray:
         """Return cosine and sine of every order at visits (n,), (n, 2, n_orders)."""
-        waves = powers(np.exp(1j * self.by_visit[visits, 0, 0]), self.orders.stop - 1)[:, self.orders.start - 1 :]
-        return np.stack([waves.real, waves.imag], axis=1)
+        waves = powers(np.exp(1j * self.by_visit[visits, 0, 0]), self.orders.stop - 1)[self.orders.start - 1 :]
+        return np.stack([waves.real, waves.imag]).transpose(2, 0, 1)
 
     def factors_of(self, number: int) -> FloatArray:
         """Return cosine and sine of one order at all visits, (n_visits, 2)."""
@@ -136,12 +136,12 @@ class Waves(Effects):
 
 
 def powers(turned: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
-    """Return z, z^2, ... of complex numbers z (n,), (n, count)."""
-    result = np.empty((len(turned), count), dtype=complex)
-    result[:, 0], known = turned, 1
+    """Return z, z^2, ... of complex numbers z (n,), (count, n)."""
+    result = np.empty((count, len(turned)), dtype=complex)
+    result[0], known = turned, 1
     while known < count:
         more = min(known, count - known)
-        np.multiply(result[:, :more], result[:, known - 1 : known], out=result[:, known : known + more])
+        np.multiply(result[:more], result[known - 1], out=result[known : known + more])
         known += more
     return result
 
@@ -157,7 +157,7 @@ def wave_orders(phase: FloatArray) -> range:
     if reach == 0:
         return range(0)
     few = phase[:: len(phase) // _VISITS_LOOKED_AT + 1]
-    same = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=0)) > _LIKELY
+    same = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=1)) > _LIKELY
     same[: int(np.ceil(TURN / reach - _SAME)) - 1] = False  # less than one cycle
     likely = (np.flatnonzero(same) + 1).tolist()
     grid = next((order for order in likely if abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID), 2 * ORDERS.stop)
@@ -214,7 +214,7 @@ def _target_effects(setting: EffectSetting) -> Iterator[Effects]:
 def _joint_effects(setting: EffectSetting) -> Iterator[Effects]:
     robot, data, visit = setting.fit.robot, setting.data, setting.visit
     names, curves, in_course = robot.joint_names, _curves(data.joints), _curves(setting.course[:, None])
-    still = unmoved_joints(robot, data.joints)
+    still, driving = unmoved_joints(robot, data.joints), (np.mean(data.joints, axis=0) - data.joints)[:, None]
     for j, name in enumerate(names):
         if name in still:
             continue
@@ -224,8 +224,7 @@ def _joint_effects(setting: EffectSetting) -> Iterator[Effects]:
         yield Effects(Kind.ZERO, name, column, visit, in_course)
         drivers = [k for k in (j - 1, j + 1) if 0 <= k < len(names) and names[k] not in still]
         if drivers:
-            driving = (np.mean(data.joints, axis=0) - data.joints)[:, None, drivers]
-            yield Effects(Kind.COUPLING, name, column, visit, driving, [names[k] for k in drivers])
+            yield Effects(Kind.COUPLING, name, column, visit, driving[:, :, drivers], [names[k] for k in drivers])
         turns = robot.mechanism.dimensions[name] == "angle"
         unit = "a turn" if turns else "over the range measured"
         phase = q if turns else q * (TURN / float(np.ptp(q)))

@@ -16,7 +16,6 @@ from calib.core.judging.error_budget import ENOUGH_REPEATS
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.row_derivatives import has_time, scales
 from calib.core.judging.rules_reach import terms_beyond
-from calib.core.rows.reported_uncertainty import ReportedUncertainty
 
 NO_MATTER = 0.25
 """A message leaves out an unseen scale error if its effect is below this part of the noise."""
@@ -57,7 +56,7 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
     measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
     if estimate.stated is None and not measured and estimate.group.part.is_position:
         data, by_noise = fit.identification.data, replace(fit.uncertainty, joint_error=0.0)
-        frame = ReportedUncertainty.from_robot(fit.robot, by_noise, data.joints)
+        frame = replace(fit.reported_uncertainty, uncertainty=by_noise)
         known = frame.predict(data.joints, data.conditions, fit.identification.passive, turns=False)
         predicted = float(np.mean(known.reported_distance**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))

@@ -84,15 +84,16 @@ class Effects:
         """Return F of one effect at all visits, (n_visits, f)."""
         return self.by_visit[:, :, number]
 
-    def detail(self, number: int, alike: IntArray, n_tested: int) -> str:
+    def detail(self, numbers: IntArray, gains: FloatArray, row: int, margin: float) -> str:
         """Return the detail of an effect.
 
         Args:
-            number: The effect.
-            alike: Effects that explain the residuals as well, and this one, in rising order, (n_alike,).
-            n_tested: Number of effects that were tested.
+            numbers: The tested effects, in rising order, (n_tested,).
+            gains: How much of |r|^2 each explains, (n_tested,).
+            row: The row of the effect among these.
+            margin: Difference of gains that noise could have caused.
         """
-        return self.details[number]
+        return self.details[numbers[row]]
 
     def columns(self, number: int) -> FloatArray:
         """Return all columns of one effect, (n_rows, b f)."""
@@ -127,10 +128,11 @@ class Waves(Effects):
         angle = self.orders[number] * self.by_visit[:, 0]
         return np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
 
-    def detail(self, number: int, alike: IntArray, n_tested: int) -> str:
-        """Return the numbers of cycles of the effects `alike`, (n_alike,), in words; arguments as in `Effects`."""
+    def detail(self, numbers: IntArray, gains: FloatArray, row: int, margin: float) -> str:
+        """Return all numbers of cycles that explain the residuals as well, in words; arguments as in `Effects`."""
+        alike = numbers[gains > gains[row] - margin]
         first, last = self.orders[alike[0]], self.orders[alike[-1]]
-        if first == last or (last - first == len(alike) - 1 and len(alike) < n_tested):
+        if first == last or (last - first == len(alike) - 1 and len(alike) < len(numbers)):
             return f"{'' if first == last else f'{first} to '}{count_noun(last, 'cycle')} {self.unit}"
         return f"a number of cycles {self.unit} that these poses do not determine"
 

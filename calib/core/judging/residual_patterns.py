@@ -107,16 +107,6 @@ class _EffectTests:
         largest = [int(np.argmax(np.where(self.ranks == k, self.gains, -1.0))) for k in set(self.ranks.tolist())]
         return min(largest, key=self.significance)
 
-    def detail(self, row: int, margin: float) -> str:
-        """Return the detail of an effect; for a wave all numbers of cycles that explain the residuals as well.
-
-        Args:
-            row: The effect.
-            margin: Difference of gains in |r|^2 that noise could have caused.
-        """
-        alike = self.numbers[self.gains > self.gains[row] - margin]
-        return self.effects.detail(int(self.numbers[row]), alike, len(self.numbers))
-
 
 def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind] = tuple(Kind)) -> tuple[Pattern, ...]:
     """Return the results of testing effects of some kinds, most significant first."""
@@ -140,7 +130,7 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
             dozen = Trait.BY_THE_DOZEN in kind.traits
             amount = float(np.linalg.norm(c)) if dozen else float(c[0]) if len(c) == 1 else float("nan")
             surely = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise[group]
-            detail = tests.detail(row, _ALIKE * residuals.factor**2)
+            detail = tests.effects.detail(tests.numbers, tests.gains, row, _ALIKE * residuals.factor**2)
             result.append(Pattern(kind, tests.effects.name, p, size, amount, surely, dimension, detail))
     return tuple(sorted(result, key=lambda pattern: (pattern.p_value, -pattern.size)))
 

@@ -58,7 +58,8 @@ class EffectSetting:
         """Return the root mean square of whitened rows (n_rows, k) over readings of each group, (n_groups, k) [SI]."""
         layout = self.fit.whitening.layout
         each = [layout.group == g for g in range(len(layout.groups))]
-        means = [np.sum(rows[of] ** 2, axis=0) / max(len(np.unique(layout.reading[of])), 1) for of in each]
+        counts = [np.count_nonzero(np.bincount(layout.reading[of])) for of in each]
+        means = [np.sum(rows[of] ** 2, axis=0) / max(count, 1) for of, count in zip(each, counts, strict=True)]
         return np.stack([self.noise_of(g) * np.sqrt(mean) for g, mean in enumerate(means)])
 
     def noise_of(self, group: int) -> float:

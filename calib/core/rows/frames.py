@@ -124,7 +124,7 @@ class CorrectionFrame(ReadOnlyArrays):
         return np.asarray(linear.jacobian[..., uncertainty.free][..., self.counts] @ left)
 
     @cached_property
-    def _common(self) -> Callable[[UncertaintyJacobian], FloatArray] | None:
+    def _common(self) -> Callable[[UncertaintyJacobian], tuple[FloatArray, FloatArray]] | None:
         """The common motion that follows errors of uncertain parameters; None where all counts."""
         if self.motion is None or self.known.uncertainty is None:
             return None
@@ -133,19 +133,19 @@ class CorrectionFrame(ReadOnlyArrays):
 
 def following_motion(
     motion: CommonMotion, robot: Robot, uncertainty: ParameterUncertainty
-) -> Callable[[UncertaintyJacobian], FloatArray]:
-    """Return a function that gives the derivative of the common motion by the uncertain parameters.
+) -> Callable[[UncertaintyJacobian], tuple[FloatArray, FloatArray]]:
+    """Return a function that gives the derivative of the common motion by the uncertain parameters, as a product.
 
-    The derivative is that of each target's motion, (n, n_targets, 6, n_uncertain).
+    The derivative is that of each target's motion, (n, n_targets, 6, m) times (m, n_uncertain).
     """
     linear = uncertainty.linearise(robot, motion.joints, Context.neutral(*motion.joints.shape))
     following = motion.following(linear.jacobian) * uncertainty.lasting(robot)
     return partial(_common, motion, following)
 
 
-def _common(motion: CommonMotion, following: FloatArray, linear: UncertaintyJacobian) -> FloatArray:
-    """Derivative of the common motion by the uncertain quantities, (n, n_targets, 6, n_uncertain)."""
-    return motion.columns(*target_poses(linear.robot, linear.configurations)) @ following
+def _common(motion: CommonMotion, following: FloatArray, linear: UncertaintyJacobian) -> tuple[FloatArray, FloatArray]:
+    """Factors of the derivative of the common motion by the uncertain quantities; see `following_motion`."""
+    return motion.columns(*target_poses(linear.robot, linear.configurations)), following
 
 
 def as_described(robot: Robot) -> Robot:

@@ -74,7 +74,7 @@ class ReportedUncertainty(ReadOnlyArrays):
         return replace(reported, frame=OWN_FRAME, contains=reported.contains | {Contribution.FRAME})
 
     @cached_property
-    def _common(self) -> Callable[[UncertaintyJacobian], FloatArray]:
+    def _common(self) -> Callable[[UncertaintyJacobian], tuple[FloatArray, FloatArray]]:
         """Function that returns the derivative of the common motion by the parameters."""
         assert self.motion is not None
         return following_motion(self.motion, self.robot, self.uncertainty)

@@ -31,13 +31,15 @@ def list_entry_points(group: str) -> tuple[EntryPoint, ...]:
 
     All installed packages are looked through, once for each search path of modules: that takes longer than many fits.
     """
-    return _find_entry_points(group, tuple(sys.path))
+    return _find_entry_points(tuple(sys.path)).get(group, ())
 
 
-@lru_cache(maxsize=32)
-def _find_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    own = [entry for entry in import_module(_CAPABILITIES).ENTRY_POINTS if entry.group == group]
-    return (*own, *sorted(entry_points(group=group), key=lambda entry: entry.name))
+@lru_cache(maxsize=4)
+def _find_entry_points(path: tuple[str, ...]) -> dict[str, tuple[EntryPoint, ...]]:
+    own, found = import_module(_CAPABILITIES).ENTRY_POINTS, entry_points()
+    others = {group: sorted(found.select(group=group), key=lambda entry: entry.name) for group in found.groups}
+    groups = {entry.group for entry in own} | others.keys()
+    return {group: (*(each for each in own if each.group == group), *others.get(group, ())) for group in groups}
 
 
 def load_entry(group: str, name: str) -> Any:

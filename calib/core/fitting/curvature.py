@@ -66,15 +66,14 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
         return squares
     problem, final, times = _problem_at_some_poses(problem, final)
     jacobian = rows.jacobian if times == 1.0 else np.sqrt(times) * problem.rows(final, groups).jacobian
-    known, columns = information(jacobian, rows.prior.rows), problem.unknowns.select(own)
-    covariance, here = known.covariance, jacobian[:, own].T @ jacobian
+    back, columns = information(jacobian, rows.prior.rows).covariance @ jacobian.T, problem.unknowns.select(own)
     for i in range(n_held):
         for step in (_STEP, -_STEP):
             moved = problem.unknowns.robot_at(final.robot, rows.deviations + step * directions[:, i])
             evaluation = problem.evaluate_if_closed(moved, final)
             if evaluation is not None:
-                there = np.sqrt(times) * problem.rows(evaluation, groups, columns).jacobian
-                curvature = -(covariance @ (there.T @ jacobian - here).T / step) @ directions[own]  # by J^T H t_i
+                there = np.sqrt(times) * problem.derivative(evaluation, groups, columns)
+                curvature = -(back @ (there - jacobian[:, own])) @ (directions[own] / step)  # by T T^T J^T H t_i
                 squares += curvature**2 @ counts
                 mean += curvature[:, i] / 2
                 break

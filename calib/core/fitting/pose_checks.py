@@ -127,7 +127,7 @@ def tied_joints(robot: Robot, joints: FloatArray) -> list[tuple[tuple[str, ...],
     _, spread, directions = linalg.svd(scaled, full_matrices=len(scaled) < len(moved))
     unseen = directions[int(np.sum(spread > _ALONE * spread[0])) :]
     projector = np.abs(unseen.T @ unseen) > _TIED
-    groups = [part for part in connected_parts(projector) if projector[part[0], part[0]]]
+    groups = [part for part in connected_parts(projector) if projector[part[0], part[0]]] if len(unseen) else []
     unseen_of = [round(float(np.sum(unseen[:, part] ** 2))) for part in groups]  # the trace of its projector
     return [
         (tuple(robot.joint_names[moved[k]] for k in part), len(part) - fewer)

@@ -128,7 +128,9 @@ class SolvedFit(ReadOnlyArrays):
     @property
     def free(self) -> BoolArray:
         """Mask of the free parameters, (n_parameters,)."""
-        return np.isin(np.arange(len(self.nominal.parameters)), self.unknowns.index)
+        result = np.zeros(len(self.nominal.parameters), dtype=bool)
+        result[self.unknowns.index] = True
+        return result
 
     @property
     def residuals(self) -> dict[str, FloatArray]:

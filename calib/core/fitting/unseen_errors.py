@@ -37,7 +37,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.memoize import memoize
 from calib.core.base.threads import one_blas_thread
-from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.error_sets import STATES, ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import validation_errors
 from calib.core.fitting.validation import readings_at
@@ -75,11 +75,10 @@ def predicted_accuracy(fit: Fit) -> Accuracy | None:
 def accuracy_of_errors(errors: ErrorSet, poses: PoseUse) -> Accuracy:
     """Return the size of errors before and after calibration at these poses."""
     part = errors.main_part
-    lengths = np.sqrt(np.nansum(errors.errors("after", part.name) ** 2, axis=1))
-    rms = errors.rms("after")
-    before, limit = errors.rms("before"), limit95(lengths)
-    read = (part.is_position, part.readings)
-    return Accuracy(poses, errors.data.n_poses, part.name, part.dimension, before, rms, limit, *read)
+    squares = [np.nansum(errors.errors(state, part.name) ** 2, axis=1) for state in STATES]
+    before, after = (float(np.sqrt(np.mean(each))) for each in squares)
+    limit, read = limit95(np.sqrt(squares[1])), (part.is_position, part.readings)
+    return Accuracy(poses, errors.data.n_poses, part.name, part.dimension, before, after, limit, *read)
 
 
 def limit95(lengths: FloatArray) -> float:

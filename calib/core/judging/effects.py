@@ -83,13 +83,16 @@ class Effects:
         """Return F of one effect at all visits, (n_visits, f)."""
         return self.by_visit[:, :, number]
 
-    def detail(self, number: int, alike: IntArray, n_tested: int) -> str:
+    def detail(self, numbers: IntArray, gains: FloatArray, row: int, margin: float) -> str:
         """Return the detail of an effect.
 
         Args:
-            alike: Effects that explain the residuals as well, and this one, in rising order, (n_alike,).
+            numbers: The tested effects, in rising order, (n_tested,).
+            gains: How much of |r|^2 each explains, (n_tested,).
+            row: The row of the effect among these.
+            margin: Difference of gains that noise could have caused.
         """
-        return self.details[number]
+        return self.details[numbers[row]]
 
     def columns(self, number: int) -> FloatArray:
         """Return all columns of one effect, (n_rows, b f)."""
@@ -116,29 +119,30 @@ class Waves(Effects):
 
     def factors(self, visits: IntArray) -> FloatArray:
         """Return cosine and sine of every order at visits (n,), (n, 2, n_orders)."""
-        waves = powers(np.exp(1j * self.by_visit[visits, 0, 0]), self.orders.stop - 1)[:, self.orders.start - 1 :]
-        return np.stack([waves.real, waves.imag], axis=1)
+        waves = powers(np.exp(1j * self.by_visit[visits, 0, 0]), self.orders.stop - 1)[self.orders.start - 1 :]
+        return np.stack([waves.real, waves.imag]).transpose(2, 0, 1)
 
     def factors_of(self, number: int) -> FloatArray:
         """Return cosine and sine of one order at all visits, (n_visits, 2)."""
         angle = self.orders[number] * self.by_visit[:, 0]
         return np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
 
-    def detail(self, number: int, alike: IntArray, n_tested: int) -> str:
-        """Return the numbers of cycles of the effects `alike`, (n_alike,), in words; arguments as in `Effects`."""
+    def detail(self, numbers: IntArray, gains: FloatArray, row: int, margin: float) -> str:
+        """Return all numbers of cycles that explain the residuals as well, in words; arguments as in `Effects`."""
+        alike = numbers[gains > gains[row] - margin]
         first, last = self.orders[alike[0]], self.orders[alike[-1]]
-        if first == last or (last - first == len(alike) - 1 and len(alike) < n_tested):
+        if first == last or (last - first == len(alike) - 1 and len(alike) < len(numbers)):
             return f"{'' if first == last else f'{first} to '}{count_noun(last, 'cycle')} {self.unit}"
         return f"a number of cycles {self.unit} that these poses do not determine"
 
 
 def powers(turned: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
-    """Return z, z^2, ... of complex numbers z (n,), (n, count)."""
-    result = np.empty((len(turned), count), dtype=complex)
-    result[:, 0], known = turned, 1
+    """Return z, z^2, ... of complex numbers z (n,), (count, n)."""
+    result = np.empty((count, len(turned)), dtype=complex)
+    result[0], known = turned, 1
     while known < count:
         more = min(known, count - known)
-        np.multiply(result[:, :more], result[:, known - 1 : known], out=result[:, known : known + more])
+        np.multiply(result[:more], result[known - 1], out=result[known : known + more])
         known += more
     return result
 
@@ -154,7 +158,7 @@ def wave_orders(phase: FloatArray) -> range:
     if reach == 0:
         return range(0)
     few = phase[:: len(phase) // _VISITS_LOOKED_AT + 1]
-    same = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=0)) > _LIKELY
+    same = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=1)) > _LIKELY
     same[: int(np.ceil(TURN / reach - _SAME)) - 1] = False  # less than one cycle
     likely = (np.flatnonzero(same) + 1).tolist()
     grid = next((order for order in likely if abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID), 2 * ORDERS.stop)
@@ -210,7 +214,7 @@ def _target_effects(setting: EffectSetting) -> Iterator[Effects]:
 def _joint_effects(setting: EffectSetting) -> Iterator[Effects]:
     robot, data, visit = setting.fit.robot, setting.data, setting.visit
     names, curves, in_course = robot.joint_names, _curves(data.joints), _curves(setting.course[:, None])
-    still = unmoved_joints(robot, data.joints)
+    still, driving = unmoved_joints(robot, data.joints), (np.mean(data.joints, axis=0) - data.joints)[:, None]
     for j, name in enumerate(names):
         if name in still:
             continue
@@ -220,8 +224,7 @@ def _joint_effects(setting: EffectSetting) -> Iterator[Effects]:
         yield Effects(Kind.ZERO, name, column, visit, in_course)
         drivers = [k for k in (j - 1, j + 1) if 0 <= k < len(names) and names[k] not in still]
         if drivers:
-            driving = (np.mean(data.joints, axis=0) - data.joints)[:, None, drivers]
-            yield Effects(Kind.COUPLING, name, column, visit, driving, [names[k] for k in drivers])
+            yield Effects(Kind.COUPLING, name, column, visit, driving[:, :, drivers], [names[k] for k in drivers])
         turns = robot.mechanism.dimensions[name] == "angle"
         unit = "a turn" if turns else "over the range measured"
         phase = q if turns else q * (TURN / float(np.ptp(q)))

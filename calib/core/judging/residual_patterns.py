@@ -34,7 +34,6 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
 
 import numpy as np
 import scipy
@@ -61,12 +60,13 @@ class _Moments:
     """Products of m effects with k columns Z each, for their tests.
 
     Attributes:
+        effects: Some effects, with their numbers of effects.
         squares: Z^T Z, (m, k, k).
         left: Z^T M Z, (m, k, k).
         score: Z^T r, (m, k).
     """
 
-    effects: Effects
+    effects: Sequence[tuple[Effects, int]]
     squares: FloatArray
     left: FloatArray
     score: FloatArray
@@ -107,21 +107,12 @@ class _EffectTests:
         largest = [int(np.argmax(np.where(self.ranks == k, self.gains, -1.0))) for k in set(self.ranks.tolist())]
         return min(largest, key=self.significance)
 
-    def detail(self, row: int, margin: float) -> str:
-        """Return the detail of an effect; for a wave all numbers of cycles that explain the residuals as well.
-
-        Args:
-            margin: Difference of gains in |r|^2 that noise could have caused.
-        """
-        alike = self.numbers[self.gains > self.gains[row] - margin]
-        return self.effects.detail(int(self.numbers[row]), alike, len(self.numbers))
-
 
 def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind] = tuple(Kind)) -> tuple[Pattern, ...]:
     """Return the results of testing effects of some kinds, most significant first."""
     if residuals.factor * setting.noise_of(setting.first) < EXACT:
         return ()
-    tested = _tests(residuals, [effect for effect in effects(setting) if effect.kind in kinds])
+    tested = list(_tests(residuals, [effect for effect in effects(setting) if effect.kind in kinds]))
     times = dict.fromkeys(Family, 0)
     for tests in tested:
         times[tests.effects.kind.family] += len(Family) * len(tests.numbers)
@@ -139,7 +130,7 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
             dozen = Trait.BY_THE_DOZEN in kind.traits
             amount = float(np.linalg.norm(c)) if dozen else float(c[0]) if len(c) == 1 else float("nan")
             surely = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise[group]
-            detail = tests.detail(row, _ALIKE * residuals.factor**2)
+            detail = tests.effects.detail(tests.numbers, tests.gains, row, _ALIKE * residuals.factor**2)
             result.append(Pattern(kind, tests.effects.name, p, size, amount, surely, dimension, detail))
     return tuple(sorted(result, key=lambda pattern: (pattern.p_value, -pattern.size)))
 
@@ -157,103 +148,94 @@ def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
     return list(kept.values())
 
 
-def _moments(residuals: LinearFit, some: Sequence[Effects]) -> list[_Moments]:
-    span = residuals.span
+def _moments(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_Moments]:
+    """Yield the moments of effects, those with equally many columns together; see the module docstring."""
+    span, bases = residuals.span, {id(effect.base): effect.base for effect in some}
     tall, n = len(span) > KEPT, len(span.root)  # then J T is not stored: it is computed from sums over rows
     known = [span[:]] if not tall else [span.jacobian] if span.more is None else [span.jacobian, span.more]
+    ends = np.cumsum([base.shape[1] for base in bases.values()])[:-1]
     squares: list[FloatArray] = [np.zeros(1)] * len(some)
     products: list[FloatArray] = [np.zeros(1)] * len(some)
     for rows, firsts, visits in _visits_together(some[0].visit) if some else ():
-        others, sums = np.hstack([residuals.rows.residuals[rows, None], *(other[rows] for other in known)]), {}
+        own = [base[rows] for base in bases.values()]
+        others = np.hstack([residuals.rows.residuals[rows, None], *(other[rows] for other in known)])
+        further = dict(zip(bases, np.split(_sums_of_visits(np.hstack(own), others, firsts), ends, axis=1), strict=True))
+        between = {key: _sums_of_visits(base, base, firsts) for key, base in zip(bases, own, strict=True)}
         for k, effect in enumerate(some):
-            base, factors = effect.base[rows], effect.factors(visits)
-            if id(effect.base) not in sums:
-                sums[id(effect.base)] = _sums_of_visits(base, base, firsts), _sums_of_visits(base, others, firsts)
-            own, further = sums[id(effect.base)]
-            squares[k] = squares[k] + _squares(own, factors)
-            each = further.reshape(len(visits), -1).T @ factors.reshape(len(visits), -1)
-            products[k] = products[k] + each.reshape(*further.shape[1:], *factors.shape[1:])
-    result = []
-    for effect, square, product in zip(some, squares, products, strict=True):
-        moments = product.swapaxes(0, 1).reshape(-1, square.shape[1], len(square))
-        score, absorbed = moments[0].T, moments[1:]
+            factors, square, product = effect.factors(visits), between[id(effect.base)], further[id(effect.base)]
+            squares[k] = squares[k] + _squares(square, factors)
+            each = product.reshape(len(visits), -1).T @ factors.reshape(len(visits), -1)
+            products[k] = products[k] + each.reshape(*product.shape[1:], *factors.shape[1:])
+    widths = np.array([square.shape[-1] for square in squares])
+    for width in dict.fromkeys(widths.tolist()):
+        alike = np.flatnonzero(widths == width).tolist()
+        ordered = [products[k].swapaxes(0, 1).reshape(-1, width, len(squares[k])) for k in alike]
+        whole, square = np.concatenate(ordered, axis=2), np.concatenate([squares[k] for k in alike])
+        absorbed = whole[1:]
         if tall:
             absorbed = np.concatenate([np.tensordot(span.root.T, absorbed[:n], 1), absorbed[n:]])
         left = square - np.einsum("rim,rjm->mij", absorbed, absorbed)
-        result.append(_Moments(effect, square, left, score))
-    return result
+        yield _Moments([(some[k], len(squares[k])) for k in alike], square, left, whole[0].T)
 
 
 def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:
     (n, f, m), b = factors.shape, sums.shape[1]
-    flat, whole = sums.reshape(n, -1).T, np.empty((b, b, f, f, m))
-    for i, j in combinations_with_replacement(range(f), 2):
-        whole[:, :, i, j] = whole[:, :, j, i] = (flat @ (factors[:, i] * factors[:, j])).reshape(b, b, m)
-    return whole.transpose(4, 0, 2, 1, 3).reshape(m, b * f, b * f)
+    both = (factors[:, :, None] * factors[:, None]).reshape(n, -1)
+    return (sums.reshape(n, -1).T @ both).reshape(b, b, f, f, m).transpose(4, 0, 2, 1, 3).reshape(m, b * f, b * f)
 
 
-def _visits_together(visit: IntArray) -> Iterator[tuple[IntArray | slice, IntArray, IntArray]]:
-    """Yield rows of some visits, those of a visit together; where each of these begins among them, and the visits."""
+def _visits_together(visit: IntArray) -> Iterator[tuple[IntArray | slice, IntArray | int, IntArray]]:
+    """Yield rows of some visits, those of a visit together; where each begins among them, and the visits.
+
+    Where all visits have equally many rows, this number takes the place of where they begin.
+    """
     order: IntArray | None = None if np.all(visit[1:] >= visit[:-1]) else np.argsort(visit, kind="stable")
     arranged = visit if order is None else visit[order]
     firsts = np.flatnonzero(np.append(True, arranged[1:] != arranged[:-1]))
     for k in range(0, len(firsts), _VISITS_AT_ONCE):
         some = firsts[k : k + _VISITS_AT_ONCE]
         last = firsts[k + _VISITS_AT_ONCE] if k + _VISITS_AT_ONCE < len(firsts) else len(visit)
-        rows = slice(int(some[0]), int(last))
-        yield rows if order is None else order[rows], some - some[0], arranged[some]
+        rows, lengths = slice(int(some[0]), int(last)), np.diff(some, append=last)
+        firsts_or_length = int(lengths[0]) if np.all(lengths == lengths[0]) else some - some[0]
+        yield rows if order is None else order[rows], firsts_or_length, arranged[some]
 
 
-def _sums_of_visits(base: FloatArray, others: FloatArray, firsts: IntArray) -> FloatArray:
+def _sums_of_visits(base: FloatArray, others: FloatArray, firsts: IntArray | int) -> FloatArray:
     """Return B^T times others, summed over the rows of each visit, (n_visits, b, k).
 
     Args:
         base: B of rows of visits, one visit after the other, (n, b).
         others: Columns of these rows, (n, k).
-        firsts: First row of each visit, (n_visits,).
+        firsts: First row of each visit, (n_visits,), or number of rows of every visit.
     """
-    n_visits, length = len(firsts), len(base) // len(firsts)
-    if n_visits * length == len(base) and np.array_equal(firsts, length * np.arange(n_visits)):
-        each = base.reshape(n_visits, length, -1).transpose(0, 2, 1)  # without the products: a tenth of the time
-        return np.matmul(each, others.reshape(n_visits, length, -1))
+    if isinstance(firsts, int):  # without the products: a tenth of the time
+        each = base.reshape(-1, firsts, base.shape[1]).transpose(0, 2, 1)
+        return np.matmul(each, others.reshape(-1, firsts, others.shape[1]))
     return np.asarray(np.add.reduceat(base[:, :, None] * others[:, None, :], firsts))
 
 
-def _tests(residuals: LinearFit, some: Sequence[Effects]) -> list[_EffectTests]:
-    by_width: dict[int, list[_Moments]] = {}
+def _tests(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_EffectTests]:
+    """Test effects, all with equally many columns at once; not absorbed ones, nor without a degree of freedom left."""
     for moments in _moments(residuals, some):
-        by_width.setdefault(moments.score.shape[1], []).append(moments)
-    return [tests for alike in by_width.values() for tests in _tests_at_once(residuals, alike)]
-
-
-def _tests_at_once(residuals: LinearFit, some: list[_Moments]) -> list[_EffectTests]:
-    squares, left, scores = (
-        np.concatenate([getattr(moments, name) for moments in some]) for name in ("squares", "left", "score")
-    )
-    size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
-    shown = np.all(size > 0, axis=1)
-    size = np.where(shown[:, None], size, 1.0)
-    left /= size[:, :, None] * size[:, None, :]
-    values, vectors = linalg.eigh(left)
-    determined = values > ABSORBED
-    score = np.where(determined, np.matmul((scores / size)[:, None, :], vectors)[:, 0], 0.0)
-    along = score / np.where(determined, values, 1.0)
-    gains, k = np.sum(score * along, axis=1), np.sum(determined, axis=1)
-    coefficients = np.matmul(vectors, along[:, :, None])[:, :, 0] / size
-    rows = np.flatnonzero(shown & (k > 0) & (residuals.freedom - k >= 1))
-    k, freedom_left, gains = k[rows], residuals.freedom - k[rows], gains[rows]
-    rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / freedom_left
-    ratios = np.maximum(gains / k / rest, 0.0)
-    found = ratios, k, gains, coefficients[rows]
-    ends = np.cumsum([len(moments.score) for moments in some])
-    tested = []
-    for moments, end in zip(some, ends.tolist(), strict=True):
-        first = end - len(moments.score)
-        own = slice(*np.searchsorted(rows, (first, end)).tolist())
-        if own.start < own.stop:
-            each = (array[own] for array in found)
-            tested.append(_EffectTests(moments.effects, rows[own] - first, residuals.freedom, *each))
-    return tested
+        size = np.sqrt(np.diagonal(moments.squares, axis1=1, axis2=2))
+        shown = np.all(size > 0, axis=1)
+        size = np.where(shown[:, None], size, 1.0)
+        values, vectors = linalg.eigh(moments.left / (size[:, :, None] * size[:, None, :]))
+        determined = values > ABSORBED
+        score = np.where(determined, np.einsum("mi,mij->mj", moments.score / size, vectors), 0.0)
+        along = score / np.where(determined, values, 1.0)
+        gains, k = np.sum(score * along, axis=1), np.sum(determined, axis=1)
+        coefficients = np.einsum("mij,mj->mi", vectors, along) / size
+        rows = np.flatnonzero(shown & (k > 0) & (residuals.freedom - k >= 1))
+        k, freedom_left, gains = k[rows], residuals.freedom - k[rows], gains[rows]
+        rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / freedom_left
+        found = np.maximum(gains / k / rest, 0.0), k, gains, coefficients[rows]
+        ends = np.cumsum([count for _, count in moments.effects])
+        stops = np.searchsorted(rows, ends).tolist()
+        for (effect, count), end, start, stop in zip(moments.effects, ends, [0, *stops], stops, strict=False):
+            if start < stop:
+                each = (array[start:stop] for array in found)
+                yield _EffectTests(effect, rows[start:stop] - (end - count), residuals.freedom, *each)
 
 
 def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: FloatArray, limit: float) -> float:

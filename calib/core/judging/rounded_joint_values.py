@@ -59,9 +59,8 @@ def joint_steps(robot: Robot, joints: FloatArray) -> FloatArray:
 
 def _step(values: FloatArray, dimension: Dimension) -> float:
     """The largest usual step between some values (n,) [m or rad]; 0 for none."""
-    if len(np.unique(values)) < _DIFFERENT:
-        return 0.0
-    return max(usual_step(values * PER_SI[dimension][unit]) / PER_SI[dimension][unit] for unit in _UNITS[dimension])
+    step = max(usual_step(values * PER_SI[dimension][unit]) / PER_SI[dimension][unit] for unit in _UNITS[dimension])
+    return step if step and len(np.unique(values)) >= _DIFFERENT else 0.0
 
 
 def usual_step(numbers: FloatArray) -> float:
@@ -70,7 +69,9 @@ def usual_step(numbers: FloatArray) -> float:
     for some in (numbers[:8], numbers):  # the first few decide most
         ratio = some[:, None] / left
         left = left[np.all(np.abs(ratio - np.round(ratio)) < _CLOSE, axis=0)]
-    return float(np.max(left, initial=0.0))
+        if len(left) == 0:
+            return 0.0
+    return float(np.max(left))
 
 
 def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:

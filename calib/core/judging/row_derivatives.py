@@ -58,7 +58,8 @@ class EffectSetting:
         """Return the root mean square of whitened rows (n_rows, k) over readings of each group, (n_groups, k) [SI]."""
         layout = self.fit.whitening.layout
         each = [layout.group == g for g in range(len(layout.groups))]
-        means = [np.sum(rows[of] ** 2, axis=0) / max(len(np.unique(layout.reading[of])), 1) for of in each]
+        counts = [np.count_nonzero(np.bincount(layout.reading[of])) for of in each]
+        means = [np.sum(rows[of] ** 2, axis=0) / max(count, 1) for of, count in zip(each, counts, strict=True)]
         return np.stack([self.noise_of(g) * np.sqrt(mean) for g, mean in enumerate(means)])
 
     def noise_of(self, group: int) -> float:
@@ -191,19 +192,20 @@ def _frame_derivative(setting: EffectSetting) -> dict[str, FloatArray]:
     The sizes are those of all lengths (`length_derivative`), positions from the middle of the points, and of positions
     along x, y and z. Along one axis they are as predicted: those of a planar robot would be noise alone.
     """
-    result, points, fit = dict[str, FloatArray](), _points(setting), setting.fit
-    lengths = length_derivative(fit.robot, fit.configurations, setting.data.readings)
+    result, points, fit, robot = dict[str, FloatArray](), _points(setting), setting.fit, setting.fit.robot
+    others = {k: own for k, own in setting.data.readings.items() if k not in points or robot.instrument(k).n_rows > 3}
+    lengths = length_derivative(robot, fit.configurations, others) if others else {}  # those of points are replaced
     for name, readings in setting.data.readings.items():
-        instrument = setting.fit.robot.instrument(name)
+        instrument = robot.instrument(name)
         result[name] = columns = np.zeros((len(readings), instrument.n_rows, 10))
         rows = _position_rows(instrument)
-        columns[:, :, 6] = lengths[name]
+        columns[:, :, 6] = lengths.get(name, 0.0)
         if len(rows) == 3:
             columns[:, rows, :3] = np.eye(3)
         if name in points:
             columns[:, rows, 3:6] = np.cross(points[name][:, None], np.eye(3)).swapaxes(1, 2)
             columns[:, rows, 6] = points[name]
-            predicted = points[name] + np.nan_to_num(setting.fit.identification.after[name][:, rows])
+            predicted = points[name] + np.nan_to_num(fit.identification.after[name][:, rows])
             columns[:, rows, 7:] = predicted[:, :, None] * np.eye(3)
     return result
 

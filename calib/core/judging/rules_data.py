@@ -339,6 +339,8 @@ def _same_joints(joints: FloatArray) -> IntArray:
     for column in joints.T:
         _, number, count = np.unique(column[left], return_inverse=True, return_counts=True)
         left = left[count[number] > 1]
+        if len(left) == 0:
+            break
     return left
 
 

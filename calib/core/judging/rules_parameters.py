@@ -220,8 +220,8 @@ def joints_scaled(fit: Fit) -> Iterator[Reason]:
     """
     if fit.computed:
         return
-    names, moved = fit.nominal.joint_names, np.ones(len(fit.nominal.joint_names))
-    moved[np.isin(names, unmoved_joints(fit.nominal, fit.identification.data.joints))] = 0.0
+    names, still = fit.nominal.joint_names, unmoved_joints(fit.nominal, fit.identification.data.joints)
+    moved = np.array([float(name not in still) for name in names])
     scales = np.zeros(len(names))
     left = findings.linear(fit).sizes(moved * gains(findings.setting(fit)))
     for parts, deviations in (left, _gain_errors(fit)):

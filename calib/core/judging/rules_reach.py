@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -171,7 +172,7 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
 
 def terms_untested(fit: Fit) -> Iterator[Reason]:
     """Look for joint terms that leave positions uncertain where each joint keeps its measured values."""
-    accuracy = _widening_sentence(fit, recombined_joints(fit.identification.data.joints, _SAMPLED))
+    accuracy = _widening_sentence(fit, partial(recombined_joints, fit.identification.data.joints, _SAMPLED))
     if accuracy:
         yield Code.TERMS_UNTESTED.says(
             f"the poses used hardly determine the joint terms at other combinations of the same joint values: positions"
@@ -182,6 +183,13 @@ def terms_untested(fit: Fit) -> Iterator[Reason]:
 
 def terms_beyond(fit: Fit) -> Iterator[str]:
     """Report the uncertainty of positions beyond the joint values from which terms were learned."""
+    accuracy = _widening_sentence(fit, partial(_over_joint_ranges, fit))
+    if accuracy:
+        yield (f"not all of the joints' range was measured: over all of it, positions are known to {accuracy}")
+
+
+def _over_joint_ranges(fit: Fit) -> FloatArray:
+    """Poses over the range of each joint, within its limits, (`_SAMPLED`, n_actuated)."""
     q = fit.identification.data.joints
     lower, upper = fit.nominal.urdf.limits(fit.nominal.joint_names)
     half = _joint_ranges(fit.nominal) / 2
@@ -190,18 +198,16 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
     low, high = np.where(bounded, low, q.min(axis=0)), np.where(bounded, high, q.max(axis=0))
     order, signs = order_of_joints(q)
     sample = halton(_SAMPLED, len(low))[:, order]
-    accuracy = _widening_sentence(fit, low + (high - low) * np.where(signs < 0, 1 - sample, sample))
-    if accuracy:
-        yield (f"not all of the joints' range was measured: over all of it, positions are known to {accuracy}")
+    return np.asarray(low + (high - low) * np.where(signs < 0, 1 - sample, sample))
 
 
-def _widening_sentence(fit: Fit, q: FloatArray) -> str:
-    """The uncertainty of positions at q (n, n_actuated) and at the used poses, in words; empty if terms hardly matter.
+def _widening_sentence(fit: Fit, sample: Callable[[], FloatArray]) -> str:
+    """The uncertainty of positions at sampled poses and at the used ones, in words; empty if terms hardly matter.
 
     Base and tool are placed anew, because their place does not depend on the terms.
     """
     terms = np.isin(fit.unknowns.index, np.arange(len(fit.nominal.parameters))[fit.robot.coefficients])
-    slope = _slope(fit, q) if np.any(terms) and not fit.computed else np.zeros((0, 0))
+    slope = _slope(fit, sample()) if np.any(terms) and not fit.computed else np.zeros((0, 0))
     if not len(slope):
         return ""
     covariance, at_used = fit.uncertainty.covariance_of(fit.robot), _uncertain_at_used(fit)

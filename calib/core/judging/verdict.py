@@ -46,7 +46,6 @@ from calib.core.judging.reasons import Code, Reason, Verdict
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.row_derivatives import has_time, scales
 from calib.core.robots.terms.term import Context
-from calib.core.rows.frames import ReportedUncertainty
 from calib.core.rows.known_robot import KnownRobot
 
 _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
@@ -212,7 +211,7 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
     measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
     if estimate.stated is None and not measured and estimate.group.part.is_position:
         data, by_noise = fit.identification.data, replace(fit.uncertainty, joint_error=0.0)
-        frame = ReportedUncertainty.from_robot(fit.robot, by_noise, data.joints)
+        frame = replace(fit.reported_uncertainty, uncertainty=by_noise)
         known = frame.predict(data.joints, data.conditions, fit.identification.passive, turns=False)
         predicted = float(np.mean(known.reported_distance**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))

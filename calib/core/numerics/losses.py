@@ -259,14 +259,13 @@ def studentised(
     for rows in blocks_of_equal_length(reading):
         own, number = span[rows], reading[rows[:, 0]]
         leverage = np.matmul(own, own.transpose(0, 2, 1))
-        values, vectors = linalg.eigh(
-            np.eye(leverage.shape[-1]) + (1.0 - 2.0 * weights[number])[:, None, None] * leverage
-        )
+        decided, vectors = linalg.eigh(leverage)
+        values = 1.0 + (1.0 - 2.0 * weights[number])[:, None] * decided
         turned = np.matmul(vectors.transpose(0, 2, 1), residuals[rows][:, :, None])[:, :, 0]
         squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
         size[number] = np.sqrt(np.sum(squares, axis=1))
-        leverages[number] = np.trace(leverage, axis1=1, axis2=2) / widths[number]
-        largest[number] = linalg.eigvalsh(leverage)[:, -1]
+        leverages[number] = np.sum(decided, axis=1) / widths[number]
+        largest[number] = decided[:, -1]
     scale = float(np.median(size / median_length(widths))) if scale is None else scale
     scale = max(scale, _NO_NOISE)
     ratio = size / scale

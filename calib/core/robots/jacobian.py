@@ -113,11 +113,14 @@ def relative_poses(
     mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
 ) -> FloatArray:
     """Return the poses of frames b in frames a at assembled poses, (n_pairs, n, 4, 4) [m]."""
-    poses = np.empty((len(pairs), len(configurations.actuated), 4, 4))
+    poses = np.tile(np.eye(4), (len(configurations.actuated), len(pairs), 1, 1))
+    frames = np.array([(pair.a, pair.b) for pair in pairs], dtype=np.intp).reshape(-1, 2).T
     for part, swept in sweeps(mechanism, configurations, pairs, loops=False):
-        for pair, to in zip(pairs, poses, strict=True):
-            to[part] = kinematics.relative_pose(swept, pair)
-    return poses
+        a, b = swept.index[frames]
+        inverse_a, offsets = swept.rotation[:, a].swapaxes(2, 3), swept.translation[:, b] - swept.translation[:, a]
+        poses[part, :, :3, :3] = np.matmul(inverse_a, swept.rotation[:, b])
+        poses[part, :, :3, 3] = np.matmul(inverse_a, offsets[..., None])[..., 0]
+    return poses.swapaxes(0, 1)
 
 
 def relative_motion(

@@ -35,6 +35,8 @@ def lost_by(robot: RobotData, holds: Holds) -> tuple[str, ...]:
 
 def without_terms(robot: SomeRobot, holds: Holds) -> SomeRobot:
     """Return the robot without the joint terms that files of this kind lose, values unchanged."""
+    if not robot.terms:
+        return robot
     kept = [section for section in robot.description.terms if holds.keeps(TERMS[section.term])]
     changed = with_terms(robot, kept)
     names = {parameter.name for parameter in changed.parameters}

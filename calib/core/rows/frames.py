@@ -128,10 +128,10 @@ class ReportedUncertainty(ReadOnlyArrays):
         linear = self.uncertainty.linearise(self.robot, joints, Context.neutral(*joints.shape))
         return self.motion.following(linear.jacobian) * self.uncertainty.lasting(self.robot)
 
-    def _common(self, linear: UncertaintyJacobian) -> FloatArray:
-        """Derivative of the common motion of each target, (n, n_targets, 6, n_uncertain)."""
+    def _common(self, linear: UncertaintyJacobian) -> tuple[FloatArray, FloatArray]:
+        """Factors of the derivative of each target's common motion, (n, n_targets, 6, k) and (k, n_uncertain)."""
         assert self.motion is not None
-        return self.motion.columns(*target_poses(linear.robot, linear.configurations)) @ self._following
+        return self.motion.columns(*target_poses(linear.robot, linear.configurations)), self._following
 
 
 @dataclass(frozen=True, eq=False)

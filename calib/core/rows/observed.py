@@ -82,7 +82,9 @@ def observe(
     """
     mechanism = robot.mechanism
     n_driven = len(mechanism.driven) if joints or robot.terms else 0
-    twists = parameter_twists(robot)
+    twists = np.zeros((6 * mechanism.n_joints, robot.coefficients.start))
+    if index is None or len(index):
+        twists = parameter_twists(robot)
     if index is not None:
         twists *= np.isin(np.arange(twists.shape[1]), index)
     if n_driven:

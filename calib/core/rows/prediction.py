@@ -260,12 +260,6 @@ def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> F
     return np.where(certain, np.sqrt(np.maximum(trace, 0.0)), np.stack([low, high]))
 
 
-def propagate_covariance(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return B C B^T of each position or turn, (n_poses, n_targets, 3, 3), from B (n_poses, n_targets, 3, n_free)."""
-    spread = jacobian.reshape(-1, jacobian.shape[-1]) @ covariance  # at once: C is read once, not for every position
-    return spread.reshape(jacobian.shape) @ jacobian.swapaxes(2, 3)
-
-
 @dataclass(frozen=True, eq=False)
 class UndecidedTerms(ReadOnlyArrays):
     """Joint terms that a robot does not have, and that its data do not exclude.
@@ -404,7 +398,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         *,
         turns: bool = True,
         counts: BoolArray | None = None,
-        common: Callable[[UncertaintyJacobian], FloatArray] | None = None,
+        common: Callable[[UncertaintyJacobian], tuple[FloatArray, FloatArray]] | None = None,
     ) -> PositionUncertainty:
         """Predict positions of all targets, loops closed, with the covariance of positions and orientations.
 
@@ -414,8 +408,9 @@ class ParameterUncertainty(ReadOnlyArrays):
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
             turns: Whether to compute the covariance of the orientations.
             counts: Mask of the uncertain quantities that count, (n_uncertain,); all if not given.
-            common: Function that returns the derivative of a common motion of positions and turns, (n, n_targets, 6,
-                n_uncertain). The covariance leaves this motion out; `measured` has the one that includes it.
+            common: Function that returns the derivative of a common motion of positions and turns as a product, (n,
+                n_targets, 6, m) times (m, n_uncertain). The covariance leaves this motion out; `measured` has the one
+                that includes it.
 
         Raises:
             UnreachablePoseError: A loop stays open.
@@ -430,13 +425,16 @@ class ParameterUncertainty(ReadOnlyArrays):
             seed = None if near is None else near[some]
             with compile_for(len(q), many(robot.mechanism)):
                 linear = self.linearise(robot, q[some], context.select(some), seed, turns=turns)
-            points[some] = linear.positions
-            jacobians = [linear.jacobian]
+            points[some], jacobian = linear.positions, linear.jacobian
+            spread = (jacobian.reshape(-1, len(known)) @ known).reshape(jacobian.shape)  # C is read once
+            parts = [(jacobian, spread)]
             if common is not None:
-                jacobians.append(linear.jacobian - common(linear)[:, :, : linear.jacobian.shape[2]])
-            for to, jacobian in zip((whole, without_common), jacobians, strict=False):
+                motion, following = common(linear)
+                motion = motion[:, :, : jacobian.shape[2]]
+                parts.append((jacobian - motion @ following, spread - motion @ (following @ known)))
+            for to, (derivative, spread) in zip((whole, without_common), parts, strict=False):
                 for covariance, rows in zip(to, ROWS, strict=False):
-                    covariance[some] = propagate_covariance(jacobian[:, :, rows], known)
+                    covariance[some] = spread[:, :, rows] @ derivative[:, :, rows].swapaxes(2, 3)
         hold(points, *whole, *without_common)
         predicted, measured = (
             PositionUncertainty(

@@ -11,7 +11,7 @@ from calib.core.base.version import VERSION
 from calib.core.commands.program import run_program
 
 _COMMANDS = {
-    "init": ("calib.core.commands.init", "Write a robot description to start from."),
+    "init": ("calib.starting.command", "Write a robot description to start from."),
     "check": ("calib.planning.commands.check", "Say which parameters poses determine, and how well."),
     "sample": ("calib.planning.commands.sample", "Write poses that a robot can take."),
     "compare": ("calib.fleets.compare_command", "Show results side by side."),

@@ -67,6 +67,7 @@ CORE = (
     Room("Commands", 10, ("core.commands", "core")),
 )
 CAPABILITIES = (
+    Room("Starting", None, ("starting",)),
     Room("Planning", None, ("planning",)),
     Room("Motion", None, ("motion",)),
     Room("Studies", None, ("studies",)),

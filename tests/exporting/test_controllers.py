@@ -14,10 +14,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.core.commands.init import command as init
 from calib.core.robots.file_formats import formats
 from calib.exporting.command import command
 from calib.exporting.controllers import dh_file, joint_offsets, ur_kinematics, xacro_origins
+from calib.starting.command import command as init
 from medrue.paper_tables import table1
 from tests.core.robots.urdf.test_denavit_hartenberg import flange_poses
 from tests.project import EXAMPLES, ROOT, SHARED

@@ -18,10 +18,10 @@ from calib.core.rows.observed import observe
 from medrue import robot_file
 from medrue.workspace import target_workspace
 from tests.core.instruments.test_kind_joint_reading import five_bar as five_bar_with_encoder
-from tests.core.robots import test_loop_templates as templates
 from tests.project import EXAMPLES
 from tests.six_axis_arm import joints, six_axis_arm
 from tests.small_robots import small_arm, write_parallelogram, write_pose_loop
+from tests.starting import test_loop_templates as templates
 
 pytest.importorskip("numba", reason="numba is not installed (extra 'fast')")
 SAME = 1e-12

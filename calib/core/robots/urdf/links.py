@@ -16,9 +16,9 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError
+from calib.core.base.files import folders_in_variable
 from calib.core.numerics import linalg
 from calib.core.robots.urdf.text import UrdfText
-from calib.core.robots.urdf.xacro_files import folders_in_variable
 
 _KINDS = ("box", "cylinder", "sphere", "mesh")
 

@@ -9,11 +9,11 @@ from click.testing import CliRunner
 
 import calib
 from calib.core.base.errors import InputError
-from calib.core.commands.init import command as init_command
 from calib.core.data.dh_files import read_dh
 from calib.core.robots.robot_files import urdf_of_origins
 from calib.core.robots.urdf.denavit_hartenberg import DhRow, dh_table
 from calib.exporting.command import command as export_command
+from calib.starting.command import command as init_command
 
 ROUNDING = 1e-12
 """A few dozen roundings of lengths of 1 m, through rpy angles and decimal degrees."""

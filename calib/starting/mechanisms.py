@@ -15,84 +15,17 @@ Home is computed from the lengths; lengths that cannot be assembled are an error
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.units import quantity_text
-from calib.core.robots.urdf.reader import Triple
-from calib.core.robots.urdf.writing import joint_text
+from calib.core.robots.urdf.plan import BASE, HERE, Plan
 
-BASE = "base"
-_HERE: Triple = (0.0, 0.0, 0.0)
-_ROUND = (-2 * math.pi, 2 * math.pi)
 _DELTA = (-0.6, 1.2)  # range in which all three arms of a usual delta reach the platform [rad]
 Lengths = Mapping[str, float]
-
-
-@dataclass
-class Plan:
-    """Links and joints of a mechanism under construction.
-
-    Attributes:
-        axes: Directions that each closure holds.
-        joints: Joints of the URDF, as text.
-        links: Links of the URDF.
-        motors: Joints with motors.
-        home: Value of every moving joint [m or rad].
-        loops: Pairs of links that coincide.
-        targets: Link and point on it [m], by name.
-        free: Joint origins with their free components.
-    """
-
-    axes: str
-    joints: list[str] = field(default_factory=list)
-    links: list[str] = field(default_factory=lambda: [BASE])
-    motors: list[str] = field(default_factory=list)
-    home: dict[str, float] = field(default_factory=dict)
-    loops: list[tuple[str, str]] = field(default_factory=list)
-    targets: dict[str, tuple[str, Triple]] = field(default_factory=dict)
-    free: list[tuple[str, str]] = field(default_factory=list)
-
-    def add_fixed_joint(
-        self, name: str, parent: str, child: str, xyz: Iterable[float], free: str = "", turned: float = 0.0
-    ) -> None:
-        """Add a fixed joint, turned about z by `turned` [rad]; `free` names components that can be calibrated."""
-        self._add(name, "fixed", parent, child, xyz, turned)
-        self.free += [(name, free)] if free else []
-
-    def hinge(
-        self, name: str, parent: str, child: str, home: float, xyz: Iterable[float] = _HERE, *, axis: str = "0 0 1",
-        turned: float = 0.0, motor: bool = False, limits: tuple[float, float] = _ROUND,
-    ) -> None:  # fmt: skip
-        """Add a revolute joint with its origin turned about z by `turned` [rad]; without a motor it has no limits."""
-        self._add(
-            name, "revolute" if motor else "continuous", parent, child, xyz, turned, axis, limits if motor else None
-        )
-        self._moving(name, home, motor)
-
-    def slider(
-        self, name: str, parent: str, child: str, home: float, axis: str, limits: tuple[float, float], *, motor: bool
-    ) -> None:
-        """Add a sliding joint between limits [m]."""
-        self._add(name, "prismatic", parent, child, _HERE, 0.0, axis, limits)
-        self._moving(name, home, motor)
-
-    def _add(
-        self, name: str, kind: str, parent: str, child: str, xyz: Iterable[float], turned: float = 0.0, axis: str = "",
-        limits: tuple[float, float] | None = None,
-    ) -> None:  # fmt: skip
-        x, y, z = (float(value) for value in xyz)
-        self.joints.append(joint_text(name, kind, (parent, child), (x, y, z), (0.0, 0.0, turned), axis, limits))
-        self.links.append(child)
-
-    def _moving(self, name: str, home: float, motor: bool) -> None:
-        self.home[name] = float(home)
-        if motor:
-            self.motors.append(name)
 
 
 def four_bar(length: Lengths) -> Plan:
@@ -131,7 +64,7 @@ def five_bar(length: Lengths) -> Plan:
     for arm, side in (("left", 1), ("right", -1)):
         _planar_arm(plan, arm, np.array([-side * half, 0.0]), tip, (proximal, distal), side)
     plan.loops.append(("left_tip", "right_tip"))
-    plan.targets["pen"] = ("left_tip", _HERE)
+    plan.targets["pen"] = ("left_tip", HERE)
     return plan
 
 
@@ -179,7 +112,7 @@ def delta(length: Lengths) -> Plan:
             plan.free.append((f"{name}_y", "x, y, z"))
             plan.add_fixed_joint(f"{name}_end", f"{name}_link", f"{name}_tip", (0, 0, -rod), "z")
             _anchor(plan, name, length["platform_radius"] * outwards + side * sideways)
-    plan.targets["tool"] = ("platform", _HERE)
+    plan.targets["tool"] = ("platform", HERE)
     return plan
 
 

@@ -28,8 +28,9 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError, nearest
-from calib.core.robots.urdf.mjcf_reading import MjcfLoop, MjcfRobot, unread_shapes
+from calib.core.robots.urdf.text import ForeignLoop, ForeignRobot
 from calib.core.robots.urdf.writing import document, inertial_element, joint_element, perpendicular_axes, shape_element
+from calib.files.mjcf_reading import unread_shapes
 
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _ENDLESS = 1e10  # SDF limits above this count as none [m or rad]
@@ -37,8 +38,8 @@ _PARALLEL = 1e-6
 _MODEL = "__model__"
 
 
-def read_sdf(source: bytes, path: str) -> MjcfRobot:
-    """Read the first model of an SDF file from its bytes.
+def read_sdf(path: str, source: bytes, *_: object) -> tuple[bytes, ForeignRobot]:
+    """Return the first model of an SDF file as a URDF, and what a URDF cannot hold.
 
     `UrdfError` if the file is not valid, or URDF has no equivalent for its content.
     """
@@ -68,7 +69,7 @@ class _SdfReader:
         self.unread: dict[str, None] = {}  # links with collision shapes that a URDF cannot hold
         self.tree: dict[str, Element] = {}  # joint of SDF by its child
 
-    def read(self) -> MjcfRobot:
+    def read(self) -> tuple[bytes, ForeignRobot]:
         for link in self.model.findall("link"):
             self._link(link)
         joints, loops = self.model.findall("joint"), []
@@ -88,7 +89,8 @@ class _SdfReader:
         motors = tuple(name for name in moving if name in named) if named or loops else tuple(moving)
         cut = [f"joint {joint.get('name')} closes a loop; the loop is cut open at this joint" for joint in later]
         unread = [unread_shapes(list(self.unread))] if self.unread else []
-        return MjcfRobot(document(self.root), motors, tuple(loops), (), dict.fromkeys(moving, 0.0), (*cut, *unread))
+        foreign = ForeignRobot(motors, tuple(loops), home=dict.fromkeys(moving, 0.0), remarks=(*cut, *unread))
+        return document(self.root), foreign
 
     def _text(self, element: Element, tag: str, default: str = "") -> str:
         return (element.findtext(tag) or default).strip()
@@ -200,7 +202,7 @@ class _SdfReader:
             led_by = mimic.get("joint", "")
             SubElement(element, "mimic", joint=led_by, multiplier=repr(factor), offset=repr(offset - factor * about))
 
-    def _loop(self, joint: Element) -> MjcfLoop:
+    def _loop(self, joint: Element) -> ForeignLoop:
         """The two links of a joint that closes a loop."""
         name, place, kind = joint.get("name", ""), self._place(joint.get("name", "")), joint.get("type", "")
         ends = self._end(joint, "parent"), self._end(joint, "child")
@@ -217,7 +219,7 @@ class _SdfReader:
         for link, end in zip(links, ends, strict=True):
             SubElement(self.root, "link", name=link)
             joint_element(self.root, f"{link}_fixed", "fixed", (end, link), self._place(end).inverse() * place)
-        return MjcfLoop(links, "6d" if kind == "fixed" else "3d", axes)
+        return ForeignLoop(links, "6d" if kind == "fixed" else "3d", axes)
 
     def _planar(self, axis: FloatArray, ends: tuple[str, str]) -> bool:
         """Whether the joints between two links turn about an axis of the model, (3,), or slide across it."""

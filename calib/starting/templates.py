@@ -9,8 +9,11 @@ from functools import partial
 
 from calib.core.base.errors import InputError, require_known
 from calib.core.base.units import quantity, quantity_text
-from calib.core.robots.urdf.loop_mechanisms import BASE, Lengths, Plan, delta, five_bar, four_bar, stewart, three_rrr
+from calib.core.robots.urdf.plan import BASE, Plan
 from calib.core.robots.urdf.writing import robot_text
+from calib.starting.mechanisms import Lengths, delta, five_bar, four_bar, stewart, three_rrr
+
+_mm = partial(quantity_text, dimension="length", form=".9g")
 
 
 @dataclass(frozen=True)
@@ -18,37 +21,60 @@ class LoopTemplate:
     """A kind of mechanism.
 
     Attributes:
+        name: Its name on the command line.
         what: The robot in a few words.
         lengths: Every length with its default [m].
         build: Its function.
     """
 
+    name: str
     what: str
     lengths: Lengths
     build: Callable[[Lengths], Plan]
 
+    def files(self, urdf: str, lengths: Lengths | None = None) -> tuple[str, str]:
+        """Return the text of a URDF, and of the description that calls it `urdf`, from every length [m].
+
+        `InputError` if nothing can be assembled from these lengths.
+        """
+        lengths = self.lengths if lengths is None else lengths
+        lengths_text = ", ".join(f"{key} {_mm(value)}" for key, value in lengths.items())
+        try:
+            plan = self.build(lengths)
+        except InputError as error:
+            raise InputError(f"template {self.name} with {lengths_text}: {error}") from None
+        text = robot_text(self.name, f"{self.what}, cut open: {lengths_text}", plan.links, plan.joints)
+        return text, _description(plan, f"{self.what}: {lengths_text}", urdf)
+
 
 TEMPLATES = {
-    "four_bar": LoopTemplate(
-        "planar four-bar", {"ground": 0.4, "crank": 0.1, "coupler": 0.35, "rocker": 0.25}, four_bar
-    ),
-    "five_bar": LoopTemplate("planar five-bar", {"motor_distance": 0.2, "proximal": 0.2, "distal": 0.3}, five_bar),
-    "3rrr": LoopTemplate(
-        "planar 3-RRR", {"base_radius": 0.4, "platform_radius": 0.1, "proximal": 0.2, "distal": 0.25}, three_rrr
-    ),
-    "delta": LoopTemplate(
-        "delta with a pair of rods on each arm",
-        {"base_radius": 0.15, "platform_radius": 0.05, "upper_arm": 0.2, "rod": 0.5, "rod_distance": 0.1},
-        delta,
-    ),
-    "stewart": LoopTemplate(
-        "Stewart platform, 6-UPS",
-        {"base_radius": 0.3, "platform_radius": 0.2, "base_pair": 0.1, "platform_pair": 0.08, "height": 0.4},
-        stewart,
-    ),
+    template.name: template
+    for template in (
+        LoopTemplate(
+            "four_bar", "planar four-bar", {"ground": 0.4, "crank": 0.1, "coupler": 0.35, "rocker": 0.25}, four_bar
+        ),
+        LoopTemplate("five_bar", "planar five-bar", {"motor_distance": 0.2, "proximal": 0.2, "distal": 0.3}, five_bar),
+        LoopTemplate(
+            "3rrr",
+            "planar 3-RRR",
+            {"base_radius": 0.4, "platform_radius": 0.1, "proximal": 0.2, "distal": 0.25},
+            three_rrr,
+        ),
+        LoopTemplate(
+            "delta",
+            "delta with a pair of rods on each arm",
+            {"base_radius": 0.15, "platform_radius": 0.05, "upper_arm": 0.2, "rod": 0.5, "rod_distance": 0.1},
+            delta,
+        ),
+        LoopTemplate(
+            "stewart",
+            "Stewart platform, 6-UPS",
+            {"base_radius": 0.3, "platform_radius": 0.2, "base_pair": 0.1, "platform_pair": 0.08, "height": 0.4},
+            stewart,
+        ),
+    )
 }
 """Templates by their names on the command line."""
-_mm = partial(quantity_text, dimension="length", form=".9g")
 
 
 def read_lengths(name: str, given: Iterable[str]) -> dict[str, float]:
@@ -66,22 +92,6 @@ def read_lengths(name: str, given: Iterable[str]) -> dict[str, float]:
         if lengths[key] <= 0:
             raise InputError(f"--length {text}: must be greater than 0")
     return lengths
-
-
-def loop_files(name: str, lengths: Lengths, urdf: str) -> tuple[str, str]:
-    """Return the text of a template's URDF, and of the description that calls it `urdf`, from every length [m].
-
-    `InputError` if nothing can be assembled from these lengths.
-    """
-    template = TEMPLATES[name]
-    lengths_text = ", ".join(f"{key} {_mm(value)}" for key, value in lengths.items())
-    try:
-        plan = template.build(lengths)
-    except InputError as error:
-        raise InputError(f"template {name} with {lengths_text}: {error}") from None
-    return robot_text(name, f"{template.what}, cut open: {lengths_text}", plan.links, plan.joints), _description(
-        plan, f"{template.what}: {lengths_text}", urdf
-    )
 
 
 def _description(plan: Plan, title: str, urdf: str) -> str:

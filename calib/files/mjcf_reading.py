@@ -27,7 +27,6 @@ Reference: todorov2012.
 
 from __future__ import annotations
 
-import io
 import itertools
 import os
 import warnings
@@ -45,6 +44,7 @@ from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import UrdfError
 from calib.core.base.words import listing
 from calib.core.numerics import linalg
+from calib.core.robots.urdf.text import ForeignLoop, ForeignRobot
 from calib.core.robots.urdf.writing import (
     document,
     inertial_element,
@@ -60,42 +60,6 @@ _MOVES = 1e-7  # joints move along a direction whose singular value is more than
 _SHOWN_GROUPS = 3  # number of shape groups: MuJoCo draws groups 0, 1 and 2
 _NOT_HELD = "a URDF cannot hold it; take it out of the file, or its joints if the arm does not need them"
 _MESHES = (".stl", ".obj", ".dae", ".ply")
-
-
-@dataclass(frozen=True)
-class MjcfLoop:
-    """Two links that coincide.
-
-    Attributes:
-        links: Their names.
-        kind: `3d`: their points; `6d`: their whole frames.
-        axes: Directions that the loop holds, in the frame of the first.
-    """
-
-    links: tuple[str, str]
-    kind: str
-    axes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class MjcfRobot:
-    """A robot as read from an MJCF file.
-
-    Attributes:
-        source: The URDF.
-        motors: Joints with an actuator, in the order of the actuators.
-        loops: Loops, cut open in the URDF.
-        springs: Joints with a spring and no actuator.
-        home: Value of each joint in the file [m or rad].
-        remarks: Features that the URDF does not have.
-    """
-
-    source: bytes
-    motors: tuple[str, ...]
-    loops: tuple[MjcfLoop, ...]
-    springs: tuple[str, ...]
-    home: dict[str, float]
-    remarks: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,18 +86,8 @@ class _Motion(ReadOnlyArrays):
     number: int | None = None
 
 
-def outermost(source: bytes) -> str:
-    """Return the tag of a file's outermost element, such as `mujoco` of MJCF or `sdf`; empty if it is no XML."""
-    try:
-        for _, element in ElementTree.iterparse(io.BytesIO(source), events=("start",)):
-            return element.tag
-    except ElementTree.ParseError:
-        pass
-    return ""
-
-
-def read_mjcf(path: Path | str) -> MjcfRobot:
-    """Read an MJCF file, with its includes, by MuJoCo.
+def read_mjcf(path: str, *_: object) -> tuple[bytes, ForeignRobot]:
+    """Return an MJCF file, with its includes, as a URDF, and what a URDF cannot hold.
 
     `UrdfError` if MuJoCo is not installed, or cannot read the file; or URDF has no equivalent for its content.
     """
@@ -152,8 +106,8 @@ def read_mjcf(path: Path | str) -> MjcfRobot:
         raise UrdfError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
     if model.nflex:
         raise UrdfError(f"{path}: has soft bodies (flex), which a URDF cannot hold; take them out of the file")
-    folder = Path(str(path)).resolve().parent
-    return _MjcfReader(mujoco, model, str(path), os.path.relpath(folder / (spec.meshdir or "."), folder)).read()
+    folder = Path(path).resolve().parent
+    return _MjcfReader(mujoco, model, path, os.path.relpath(folder / (spec.meshdir or "."), folder)).read()
 
 
 class _MjcfReader:
@@ -167,7 +121,7 @@ class _MjcfReader:
         self.remarks: list[str] = []
         self.unread: dict[str, None] = {}  # links with collision shapes that a URDF cannot hold
 
-    def read(self) -> MjcfRobot:
+    def read(self) -> tuple[bytes, ForeignRobot]:
         self._link("world", 0)
         for body in range(1, self.model.nbody):
             self._body(body)
@@ -184,7 +138,7 @@ class _MjcfReader:
         motors = tuple(dict.fromkeys(self._motors()))
         stiff = [self._name("JOINT", int(number)) for number in np.flatnonzero(self.model.jnt_stiffness > 0)]
         springs = tuple(name for name in stiff if name in self.home and name not in motors)
-        return MjcfRobot(source, motors, loops, springs, self.home, tuple(self.remarks))
+        return source, ForeignRobot(motors, loops, springs, self.home, tuple(self.remarks))
 
     def _name(self, kind: str, number: int) -> str:
         of = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}")
@@ -327,7 +281,7 @@ class _MjcfReader:
             if of_joint and joint in self.joints:
                 yield self.joints[joint].attrib["name"]
 
-    def _equalities(self) -> Iterator[MjcfLoop]:
+    def _equalities(self) -> Iterator[ForeignLoop]:
         model, types = self.model, self.mujoco.mjtEq
         for number in range(model.neq):
             name, kind = self._name("EQUALITY", number), int(model.eq_type[number])
@@ -351,7 +305,7 @@ class _MjcfReader:
         offset = self.home[element.attrib["name"]] + float(polynomial[0]) - factor * self.home[led_by]
         SubElement(element, "mimic", joint=led_by, multiplier=repr(factor), offset=repr(offset))
 
-    def _loop(self, number: int, name: str, *, whole: bool) -> MjcfLoop:
+    def _loop(self, number: int, name: str, *, whole: bool) -> ForeignLoop:
         bodies, places = self._bodies_of_tie(number)
         axes: tuple[str, ...] = ("x", "y", "z", "rx", "ry", "rz")
         if not whole:
@@ -363,7 +317,7 @@ class _MjcfReader:
             link = self._new(f"{name}_{letter}", self.links)
             self._add_fixed_joint(self.link_of[body], link, place)
             links.append(link)
-        return MjcfLoop((links[0], links[1]), "6d" if whole else "3d", axes)
+        return ForeignLoop((links[0], links[1]), "6d" if whole else "3d", axes)
 
     def _bodies_of_tie(self, number: int) -> tuple[list[int], list[pin.SE3]]:
         """The two bodies of a tie, and its place in each."""

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.core.base.errors import UrdfError
+from calib.core.base.files import folders_in_variable
 
 _SECONDS = 20
 _MEMORY = 2**31  # bytes
@@ -41,10 +42,10 @@ _QUOTED = re.compile(
 _EMPTY = re.compile(r"<xacro:arg\s+name=\"([A-Za-z]\w*)\"\s+default=\"\"")
 
 
-def expand(path: Path | str, arguments: Mapping[str, str]) -> bytes:
+def read_xacro(path: str, _: bytes, arguments: Mapping[str, str]) -> tuple[bytes, None]:
     """Return the URDF of a xacro file, expanded by the package xacro; `UrdfError` if that is missing or fails."""
     given = [f"{name}:={value}" for name, value in arguments.items()]
-    elsewhere = f"or expand it on a computer with ROS: {' '.join(['xacro', str(path), *given])} > robot.urdf"
+    elsewhere = f"or expand it on a computer with ROS: {' '.join(['xacro', path, *given])} > robot.urdf"
     environment = {name: os.environ[name] for name in (*_PACKAGES, *_SYSTEM) if name in os.environ}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     command = [sys.executable, "-P", "-X", "utf8", "-m", __name__, str(Path(path).resolve()), *given]
@@ -61,7 +62,7 @@ def expand(path: Path | str, arguments: Mapping[str, str]) -> bytes:
         last = done.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
         message = last[0] if done.returncode == _FAILED and last else "it ended without an error message"
         raise UrdfError(f"{path}: xacro cannot expand it ({message}); correct it, {elsewhere}")
-    return done.stdout
+    return done.stdout, None
 
 
 def _main(path: str, *given: str) -> int:
@@ -182,11 +183,6 @@ class _Packages:
             yield root / name
             for depth in range(_DEEP):
                 yield from (file.parent for file in sorted(root.glob("*/" * depth + "package.xml")))
-
-
-def folders_in_variable(name: str) -> list[str]:
-    """Return the folders that an environment variable names."""
-    return [entry for entry in os.environ.get(name, "").split(os.pathsep) if entry]
 
 
 def _is_package(folder: Path, name: str) -> bool:

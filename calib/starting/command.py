@@ -19,12 +19,12 @@ from calib.core.data.dh_files import read_dh
 from calib.core.data.measurement_columns import header
 from calib.core.data.table_writing import format_table
 from calib.core.robots.description import schema_text, validate_description
-from calib.core.robots.first_description import MEASURES, Measure, description_text
 from calib.core.robots.loading import build, first_description
 from calib.core.robots.robot import Robot
-from calib.core.robots.templates import TEMPLATES, loop_files, read_lengths
 from calib.core.robots.urdf.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
 from calib.core.robots.urdf.text import UrdfText, parse_urdf, read_urdf
+from calib.starting.descriptions import MEASURES, Measure, description_text
+from calib.starting.templates import TEMPLATES, read_lengths
 
 _LENGTHS = "; ".join(
     f"{name}: " + ", ".join(f"{key} {quantity_text(value, 'length', 'g')}" for key, value in template.lengths.items())
@@ -212,7 +212,7 @@ def _load_unwritten(urdf: UrdfText, description: str) -> Robot:
 
 def _write_template(name: str, given: Sequence[str], urdf: Path, description: Path, output: Output) -> None:
     """Write the two files of a template, if the robot that they describe can be used."""
-    texts = dict(zip((urdf, description), loop_files(name, read_lengths(name, given), urdf.name), strict=True))
+    texts = dict(zip((urdf, description), TEMPLATES[name].files(urdf.name, read_lengths(name, given)), strict=True))
     try:
         _load_unwritten(parse_urdf(texts[urdf].encode(), str(urdf)), texts[description])
     except DescriptionError as error:

@@ -5,7 +5,7 @@ import pytest
 
 import calib
 from calib.core.data.measurements import Poses
-from calib.core.robots.templates import TEMPLATES, loop_files, read_lengths
+from calib.starting.templates import TEMPLATES, read_lengths
 
 TOLERANCE = 1e-9  # loops close to 1e-12 m; far from singular poses that is some 1e-12 rad
 LENGTHS = {  # none of them a default
@@ -20,7 +20,7 @@ ANGLES = np.radians([90, 210, 330])
 
 
 def robot_of(folder, name):
-    urdf, description = loop_files(name, LENGTHS[name], "robot.urdf")
+    urdf, description = TEMPLATES[name].files("robot.urdf", LENGTHS[name])
     (folder / "robot.urdf").write_text(urdf)
     (folder / "robot.yaml").write_text(description)
     return calib.load(folder / "robot.yaml")
@@ -164,6 +164,6 @@ def test_the_command_writes_a_robot_that_can_be_checked_and_exported(tmp_path, r
 )
 def test_lengths_that_are_wrong_are_named(name, given, complaint):
     with pytest.raises(calib.InputError, match=complaint) as error:
-        loop_files(name, read_lengths(name, given), "robot.urdf")
+        TEMPLATES[name].files("robot.urdf", read_lengths(name, given))
     assert "\n" not in str(error.value)
     assert error.value.exit_code == 2

@@ -7,8 +7,8 @@ import pytest
 
 import calib
 from calib.core.base.errors import UrdfError
-from calib.core.robots.urdf.mjcf_reading import read_mjcf
 from calib.core.robots.urdf.text import read_urdf
+from calib.files.mjcf_reading import read_mjcf
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -171,7 +171,7 @@ def test_masses_are_those_of_mujoco(tmp_path):
 )
 def test_loops_are_cut_open_and_hold_the_directions_that_move(tmp_path, tie, kind, axes):
     (tmp_path / "five_bar.xml").write_text(five_bar(tie))
-    read = read_mjcf(tmp_path / "five_bar.xml")
+    _, read = read_mjcf(str(tmp_path / "five_bar.xml"))
     assert read.motors == ("left_motor", "right_motor")
     assert [(loop.links, loop.kind, loop.axes) for loop in read.loops] == [(("tie_a", "tie_b"), kind, axes)]
 

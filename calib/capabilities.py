@@ -19,6 +19,7 @@ ENTRY_POINTS = tuple(
         ("calib.methods", "select", "calib.planning.selection:select"),
         ("calib.methods", "shortest_order", "calib.planning.measurement_order:shortest_order"),
         ("calib.methods", "check_poses", "calib.motion.poses:check_poses"),
+        ("calib.methods", "urdf_of_table", "calib.starting.dh_tables:urdf_of_table"),
         ("calib.methods", "templates", "calib.starting.templates:TEMPLATES"),
         ("calib.measures", "camera", "calib.photographs.first_words:camera_words"),
         ("calib.first_descriptions", "klipper", "calib.printers.first_files:KLIPPER"),

@@ -15,15 +15,15 @@ from calib.core.base.sections import parse_yaml
 from calib.core.base.units import quantity_text
 from calib.core.commands.common import Output, shared_options
 from calib.core.commands.first_files import FirstFiles
-from calib.core.data.dh_files import read_dh
 from calib.core.data.measurement_columns import header
 from calib.core.data.table_writing import format_table
 from calib.core.robots.description import schema_text, validate_description
 from calib.core.robots.loading import build, first_description
 from calib.core.robots.robot import Robot
-from calib.core.robots.urdf.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
+from calib.core.robots.urdf.denavit_hartenberg import CONVENTIONS
 from calib.core.robots.urdf.text import UrdfText, parse_urdf, read_urdf
 from calib.starting.descriptions import MEASURES, Measure, description_text
+from calib.starting.dh_tables import LAST_LINK, urdf_of_table
 from calib.starting.templates import TEMPLATES, read_lengths
 
 _LENGTHS = "; ".join(
@@ -152,7 +152,7 @@ def command(
         output.say(f"{urdf_out} and {out} written; they work as they are, and comments say what to change")
         return
     if dh and urdf_out:
-        text = parse_urdf(urdf_text(read_dh(dh, convention), Path(dh).stem).encode(), str(urdf_out))
+        text = parse_urdf(urdf_of_table(dh, convention).encode(), str(urdf_out))
     else:
         text = read_urdf(str(urdf), arguments)
     how = MEASURES[measure] if measure else None

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 
 import calib
 from calib.core.base.units import DISPLAY_UNIT, PER_SI
-from calib.core.data.dh_files import read_dh
 from calib.core.data.measurements import Poses
 from calib.core.data.parameter_files import format_parameters
 from calib.core.data.table_writing import format_table
-from calib.core.robots.urdf.denavit_hartenberg import urdf_text
+from calib.starting.dh_tables import urdf_of_table
 from calib.starting.templates import TEMPLATES as MECHANISMS
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -82,7 +81,7 @@ def ur10e() -> dict[str, str]:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "ur10e.yaml"
         path.write_text(UR)
-        path.with_suffix(".urdf").write_text(urdf_text(read_dh(EXAMPLES / "ur10e_dh.csv"), "ur10e"))
+        path.with_suffix(".urdf").write_text(urdf_of_table(EXAMPLES / "ur10e_dh.csv"))
         robot = calib.load(path)
     rng = np.random.default_rng(UR_SEED)
     low, high = np.degrees(robot.joint_limits).T

@@ -19,9 +19,9 @@ from calib.exporting.command import command
 from calib.exporting.controllers import dh_file, joint_offsets, ur_kinematics, xacro_origins
 from calib.starting.command import command as init
 from medrue.paper_tables import table1
-from tests.core.robots.urdf.test_denavit_hartenberg import flange_poses
 from tests.project import EXAMPLES, ROOT, SHARED
 from tests.small_robots import ARM_URDF, ARM_YAML, write_arm
+from tests.starting.test_denavit_hartenberg import flange_poses
 from tests.urdf_trees import urdf_of
 
 ARM = EXAMPLES / "arm.yaml"

@@ -22,11 +22,11 @@ from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
-from tests.core.robots.urdf.test_denavit_hartenberg import robot_of, write_dh_table
 from tests.programs.compensated_robots import TrueFrame, poses_of
 from tests.project import EXAMPLES, write_table
 from tests.saved_results import with_verdict
 from tests.six_axis_arm import write_six_axis
+from tests.starting.test_denavit_hartenberg import robot_of, write_dh_table
 
 SCARA = """<robot name="scara"><link name="l0"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="hand"/>
 <joint name="a" type="revolute"><parent link="l0"/><child link="l1"/><origin xyz="0 0 0.3"/><axis xyz="0 0 1"/>

@@ -9,11 +9,12 @@ from click.testing import CliRunner
 
 import calib
 from calib.core.base.errors import InputError
-from calib.core.data.dh_files import read_dh
 from calib.core.robots.robot_files import urdf_of_origins
-from calib.core.robots.urdf.denavit_hartenberg import DhRow, dh_table
+from calib.core.robots.urdf.denavit_hartenberg import DhRow
 from calib.exporting.command import command as export_command
+from calib.exporting.dh_tables import dh_table, table_poses
 from calib.starting.command import command as init_command
+from calib.starting.dh_tables import read_dh
 
 ROUNDING = 1e-12
 """A few dozen roundings of lengths of 1 m, through rpy angles and decimal degrees."""
@@ -198,7 +199,7 @@ def test_parallel_axes_keep_the_table_inside_the_robot(tilt: float) -> None:
     table = dh_table(links, [DhRow(name) for name in "abc"], "standard")
     assert max(abs(row.d) for row in table.rows) < 25
     q = np.random.default_rng(1).uniform(-3, 3, (20, 3))
-    for result, row in zip(table.poses(q), q, strict=True):
+    for result, row in zip(table_poses(table, q), q, strict=True):
         pose = links[0]
         for angle, after in zip(row, links[1:], strict=True):
             pose = pose * pin.SE3(pin.utils.rotate("z", angle), np.zeros(3)) * after

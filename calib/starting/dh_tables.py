@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg tables as CSV files.
+"""Robots from Denavit-Hartenberg tables in CSV files (`calib.core.robots.urdf.denavit_hartenberg`).
 
 One row for each joint, in the order of the chain: `joint`, `type` (revolute, prismatic or fixed), `theta`, `d`, `a`,
 `alpha` and, where it is needed, `beta`, with units in the header; `offset` (added to theta or d), `sign` (1 or -1),
@@ -10,20 +10,40 @@ convention the rows follow, because nothing else in a table does.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
-from calib.core.base.errors import DataError, nearest, require_known
-from calib.core.base.units import DISPLAY_UNIT, PER_SI, Dimension, per_si, quantity
-from calib.core.data.table_writing import format_table
-from calib.core.data.tables import Table, check_plausible, read_number, read_table
-from calib.core.robots.urdf.denavit_hartenberg import CONVENTIONS, KINDS, Convention, DhRow, DhTable, Kind
+import pinocchio as pin
 
-_NUMBERS: dict[str, Dimension] = {"theta": "angle", "d": "length", "a": "length", "alpha": "angle", "beta": "angle"}
+from calib.core.base.arrays import FloatArray
+from calib.core.base.errors import DataError, nearest, require_known
+from calib.core.base.units import DISPLAY_UNIT, Dimension, per_si, quantity
+from calib.core.data.tables import Table, check_plausible, read_number, read_table
+from calib.core.robots.urdf.denavit_hartenberg import (
+    CONVENTION_MARK,
+    CONVENTIONS,
+    KINDS,
+    NUMBERS,
+    Convention,
+    DhRow,
+    DhTable,
+    Kind,
+    new_name,
+    z_transform,
+)
+from calib.core.robots.urdf.reader import Triple
+from calib.core.robots.urdf.writing import joint_text, robot_text
+
 _NEEDED = ("theta", "d", "a", "alpha")
-_COLUMNS = ("joint", "type", *_NUMBERS, "offset", "sign", "lower", "upper")
+_COLUMNS = ("joint", "type", *NUMBERS, "offset", "sign", "lower", "upper")
 _SHORT: Mapping[str, Kind] = {"r": "revolute", "p": "prismatic", "f": "fixed"}
-_MARK = "convention:"
+_FAR_AWAY = 5.0  # distance of an origin, along the joint's axis, from the joint before it [m]
+_BASE_LINK, LAST_LINK = "base_link", "flange"
+
+
+def urdf_of_table(path: Path | str, convention: str | None = None) -> str:
+    """Return the URDF of a table (`read_dh`): links `base_link`, `link_1`, ..., `flange`, and a joint for each row."""
+    return _urdf_text(read_dh(path, convention), Path(path).stem)
 
 
 def read_dh(path: Path | str, convention: str | None = None) -> DhTable:
@@ -52,24 +72,8 @@ def read_dh(path: Path | str, convention: str | None = None) -> DhTable:
     return DhTable(meant, rows)
 
 
-def format_dh(table: DhTable, comments: Sequence[str] = ()) -> str:
-    """Return CSV text in mm and degrees, after comments; reading it gives the same table to all digits."""
-    columns: list[tuple[str, Sequence[object]]] = [
-        ("joint", [row.name for row in table.rows]),
-        ("type", [row.kind for row in table.rows]),
-    ]
-    for name, dimension in _NUMBERS.items():
-        unit = DISPLAY_UNIT[dimension]
-        values = [getattr(row, name) * PER_SI[dimension][unit] for row in table.rows]
-        columns.append((f"{name} [{unit}]", values))
-    columns.append(("sign", [f"{row.sign:.0f}" for row in table.rows]))
-    for name in ("lower", "upper"):
-        columns.append((name, [_limit(row, getattr(row, name)) for row in table.rows]))
-    return format_table(columns, [f"{_MARK} {table.convention}", *comments])
-
-
 def _convention(table: Table, given: str | None) -> Convention:
-    marked = [text.removeprefix(_MARK).strip() for text in table.comments if text.startswith(_MARK)]
+    marked = [text.removeprefix(CONVENTION_MARK).strip() for text in table.comments if text.startswith(CONVENTION_MARK)]
     for word in [*marked, *([given] if given else [])]:
         require_known(word, CONVENTIONS, f"{table.path}: unknown convention", DataError)
         if given and word != given:
@@ -88,7 +92,7 @@ def _convention(table: Table, given: str | None) -> Convention:
 
 def _rows(table: Table) -> tuple[DhRow, ...]:
     given = {
-        name: table.column(name, dimension, gaps=True) for name, dimension in _NUMBERS.items() if name in table.names
+        name: table.column(name, dimension, gaps=True) for name, dimension in NUMBERS.items() if name in table.names
     }
     rows = []
     for k in range(len(table.rows)):
@@ -101,7 +105,7 @@ def _rows(table: Table) -> tuple[DhRow, ...]:
                     f"{table.where(k, name)}: is empty; fill it in, with 0 if there is no such length or angle"
                 )
             values[name] = 0.0 if math.isnan(column[k]) else float(column[k])
-        dimension = _NUMBERS[variable] if variable else None
+        dimension = NUMBERS[variable] if variable else None
         offset, lower, upper = (_cell(table, name, k, dimension) for name in ("offset", "lower", "upper"))
         if variable and offset is not None:
             values[variable] += offset
@@ -158,9 +162,53 @@ def _cell(table: Table, name: str, k: int, dimension: Dimension | None) -> float
     return number / per_si(unit, dimension, where, DataError)
 
 
-def _limit(row: DhRow, value: float) -> str:
-    if not math.isfinite(value):
-        return ""
-    dimension = _NUMBERS["d" if row.kind == "prismatic" else "theta"]
-    unit = DISPLAY_UNIT[dimension]
-    return f"{value * PER_SI[dimension][unit]!r} {unit}"
+def _urdf_text(table: DhTable, name: str) -> str:
+    joints: list[str] = []
+    links = [_BASE_LINK]
+    rest = pin.SE3.Identity()
+    last_moves = table.rows[-1].kind != "fixed"
+    for k, row in enumerate(table.rows, start=1):
+        origin, rest = _origin(table.convention, rest, row)
+        if row.kind == "revolute":
+            origin, rest = _slide_origin(origin, rest)
+        links.append(LAST_LINK if k == len(table.rows) and not last_moves else f"link_{k}")
+        joints.append(_joint(row, links[-2], links[-1], origin))
+    if last_moves:
+        links.append(LAST_LINK)
+        taken = [row.name for row in table.rows]
+        joints.append(_joint(DhRow(new_name(f"{LAST_LINK}_joint", taken), "fixed"), links[-2], LAST_LINK, rest))
+    note = f"From a Denavit-Hartenberg table ({table.convention}); effort and velocity are 0: the table has none."
+    return robot_text(name, note, links, joints)
+
+
+def _origin(convention: Convention, rest: pin.SE3, row: DhRow) -> tuple[pin.SE3, pin.SE3]:
+    """The URDF origin of a row's joint, and the transform that remains for the next row."""
+    if convention == "modified":
+        return rest * row.motion_along_x * row.motion_along_z, pin.SE3.Identity()
+    if row.kind == "fixed":
+        return rest * row.motion_along_z * row.motion_along_x, pin.SE3.Identity()
+    return rest * row.motion_along_z, row.motion_along_x
+
+
+def _slide_origin(origin: pin.SE3, rest: pin.SE3) -> tuple[pin.SE3, pin.SE3]:
+    """The origin of a revolute joint; a far origin is moved along the axis to the height of the joint before.
+
+    In tables with nearly parallel axes (calibrated robots of Universal Robots) d is hundreds of metres in one row, and
+    as much back in the next. An origin may be anywhere on its axis: the next row moves back, and no pose changes.
+    """
+    away = float(origin.translation @ origin.rotation[:, 2])
+    if abs(away) < _FAR_AWAY:
+        return origin, rest
+    return origin * z_transform(0.0, -away), z_transform(0.0, away) * rest
+
+
+def _joint(row: DhRow, parent: str, child: str, origin: pin.SE3) -> str:
+    limits = (row.lower, row.upper) if math.isfinite(row.lower) and math.isfinite(row.upper) else None
+    kind = "continuous" if row.kind == "revolute" and not limits else row.kind
+    xyz, rpy = (_triple(v) for v in (origin.translation, pin.rpy.matrixToRpy(origin.rotation)))
+    axis = "" if row.kind == "fixed" else f"0 0 {row.sign:.0f}"
+    return joint_text(row.name, kind, (parent, child), xyz, rpy, axis, limits)
+
+
+def _triple(values: FloatArray) -> Triple:
+    return float(values[0]), float(values[1]), float(values[2])

@@ -16,6 +16,7 @@ A package names its additions in its `pyproject.toml`, under these groups of ent
 A notebook registers kinds and terms in `KINDS` and `TERMS`. `check_kind` and `check_term` test them.
 """
 
+from calib.checking import check_kind, check_term
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import ComputationError, DataError, DescriptionError, InputError
 from calib.core.base.parameter import Parameter
@@ -36,7 +37,6 @@ from calib.core.commands.common import Output
 from calib.core.commands.first_files import FirstFiles
 from calib.core.data.other_formats import OtherFormat, SomeFile
 from calib.core.fitting.fitted import Fit
-from calib.core.instruments.checking import check_kind, check_term
 from calib.core.instruments.kind import (
     Column,
     Comparison,

@@ -45,14 +45,8 @@ from calib.core.base.errors import UrdfError
 from calib.core.base.words import listing
 from calib.core.numerics import linalg
 from calib.core.robots.urdf.text import ForeignLoop, ForeignRobot
-from calib.core.robots.urdf.writing import (
-    document,
-    inertial_element,
-    joint_element,
-    number_attribute,
-    perpendicular_axes,
-    shape_element,
-)
+from calib.core.robots.urdf.writing import number_attribute
+from calib.files.urdf_elements import document, inertial_element, joint_element, perpendicular_axes, shape_element
 
 _DRAWN = 12  # configurations for the directions of a loop
 _SPREAD = 0.3  # standard deviation from the file's configuration [m, rad]

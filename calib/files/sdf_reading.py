@@ -29,8 +29,8 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError, nearest
 from calib.core.robots.urdf.text import ForeignLoop, ForeignRobot
-from calib.core.robots.urdf.writing import document, inertial_element, joint_element, perpendicular_axes, shape_element
 from calib.files.mjcf_reading import unread_shapes
+from calib.files.urdf_elements import document, inertial_element, joint_element, perpendicular_axes, shape_element
 
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _ENDLESS = 1e10  # SDF limits above this count as none [m or rad]

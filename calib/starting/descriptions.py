@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -289,6 +290,13 @@ def description_text(
         else _HELD_ENDS.format(held=quoted(_end_components(urdf, joints))),
         example=quoted(description.name_mot[0]),
     )
+
+
+def schema_text() -> str:
+    """Return the JSON schema of robot descriptions, for editors, made of the same classes that read them."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **Description.model_json_schema()}
+    text = json.dumps(schema, indent=1) + "\n"
+    return text.replace('"oneOf":', '"anyOf":')  # entries of several kinds are told apart by a key that all have
 
 
 def _home_within_limits(urdf: UrdfText, joints: Sequence[str]) -> dict[str, float]:

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[2]
-FRONT = ("calibration", "capabilities", "cli", "extend")
+FRONT = ("calibration", "capabilities", "checking", "cli", "extend")
 """Files above core and capabilities: what users hold, what capabilities bring, the program, what others import."""
 BESIDE = ("pictures",)
 """A file of the core on the top floor: who draws."""

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import calib
+from calib.core.robots.closure import motion
 from calib.core.rows.frames import program_frame
 from calib.core.rows.gauge import nearest_to_nominal
 from calib.core.rows.known_robot import known_robot
@@ -17,7 +18,6 @@ from calib.core.rows.prediction import PositionUncertainty
 from calib.programs.commands.compensate import command
 from calib.programs.reaching.compensation import compensate
 from calib.programs.reaching.inverse import solve
-from calib.programs.reaching.reaching import actuated_jacobian
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
@@ -187,7 +187,7 @@ def test_joint_terms_limits_and_full_poses_are_kept(tmp_path):
     ).conditions  # it is approached as the program is
     did = truth.assemble(compensation.q, context=context)
     chain = truth.mechanism.targets[0]
-    position, rotation, _ = actuated_jacobian(truth.mechanism, chain, did.actuated, did.passive)
+    position, rotation, *_ = motion(truth.mechanism, chain, did.actuated, did.passive)
     meant = nominal.forward(program)  # of the target's link l6 or the target itself: positions are compared below
     assert np.abs(position - nominal.positions(program)[:, 0]).max() < 1e-9
     assert np.abs(rotation - meant[:, :3, :3]).max() < 1e-8

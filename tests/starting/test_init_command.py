@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 import calib
-from calib.core.robots.description import Description, schema_text
+from calib.core.robots.description import Description
+from calib.starting.descriptions import schema_text
 from tests.project import EXAMPLES, ROOT
 from tests.small_robots import ARM_URDF
 from tests.urdf_trees import urdf_of

@@ -17,7 +17,6 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError
 from calib.core.base.files import folders_in_variable
-from calib.core.numerics import linalg
 from calib.core.robots.urdf.text import UrdfText
 
 _KINDS = ("box", "cylinder", "sphere", "mesh")
@@ -163,22 +162,6 @@ def _numbers(text: str, count: int, where: str) -> tuple[float, ...]:
     if len(values) != count or not np.all(np.isfinite(values)):
         raise UrdfError(f"{where}: '{text}' is not {count} number{'s' * (count > 1)}")
     return values
-
-
-def possible_inertia(inertia: FloatArray) -> FloatArray:
-    """Return the nearest physically possible inertia: positive moments, none above the sum of the other two.
-
-    `inertia` is about the centre of mass, (3, 3) [kg m^2], symmetric.
-    """
-    moments, axes = linalg.eigh(inertia)
-    fixed = np.maximum(moments, max(1e-6 * float(moments[2]), 1e-12))
-    excess = fixed[2] - fixed[0] - fixed[1]
-    if excess > 0:
-        fixed[:2] += excess / 2 * (1 + 1e-9) + 1e-15
-    if np.array_equal(fixed, moments):
-        return inertia
-    result: FloatArray = axes @ np.diag(fixed) @ axes.T
-    return (result + result.T) / 2
 
 
 def find_mesh(filename: str, urdf_path: str) -> Path | None:

@@ -17,7 +17,7 @@ from calib.core.base.errors import DescriptionError, InputError
 from calib.core.data.in_memory import as_poses
 from calib.core.data.measurement_files import read_poses
 from calib.core.robots.pose_check import check_poses
-from calib.motion.moves import check_move
+from calib.motion.planner import check_move
 from calib.motion.poses import surroundings
 from calib.motion.programs import LANGUAGES, Motion, write_program
 from calib.motion.route import plan_route

@@ -18,7 +18,7 @@ _COMMANDS = {
     "fleet": ("calib.fleets.command", "Make a prior for the next robot of a model."),
     "select": ("calib.planning.commands.select", "Choose the poses to measure."),
     "route": ("calib.motion.command", "Plan a way through poses, as a program for the robot."),
-    "simulate": ("calib.core.commands.simulate", "Simulate measurements."),
+    "simulate": ("calib.studies.simulate_command", "Simulate measurements."),
     "study": ("calib.studies.command", "Calibrate many times from simulated measurements."),
     "fit": ("calib.core.commands.fit", "Calibrate a robot from measurements."),
     "predict": ("calib.core.commands.predict", "Predict where the targets are."),

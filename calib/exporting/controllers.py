@@ -33,7 +33,7 @@ from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import without_terms
 from calib.core.robots.urdf.denavit_hartenberg import Convention, DhRow, Kind
-from calib.core.robots.urdf.ur_kinematics import JOINTS, KEYS, LINKS
+from calib.core.robots.urdf.ur_calibration import JOINTS, KEYS, LINKS
 from calib.core.rows.registration import register
 from calib.exporting.dh_tables import dh_table, format_dh, table_poses
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain

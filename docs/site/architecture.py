@@ -71,6 +71,7 @@ CAPABILITIES = (
     Room("Planning", None, ("planning",)),
     Room("Motion", None, ("motion",)),
     Room("Studies", None, ("studies",)),
+    Room("Compiled", None, ("compiled",)),
     Room("Fleets", None, ("fleets",)),
     Room("Matching", None, ("matching",)),
     Room("Programs", None, ("programs",)),

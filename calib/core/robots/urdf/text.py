@@ -26,7 +26,6 @@ from calib.core.base.errors import DescriptionError, UrdfError, require_known
 from calib.core.base.files import read_bytes
 from calib.core.base.registry import list_entry_points, load_named
 from calib.core.robots.urdf.reader import NUMBER, UNSUPPORTED_TYPES, Span, Triple, UrdfJoint, UrdfReader, from_root
-from calib.core.robots.urdf.ur_kinematics import read_origins, ur_urdf
 from calib.core.robots.urdf.writing import number_attribute, shortest
 
 _ATTRIBUTE = re.compile(rb"""([^\s=<>/'"]+)\s*=\s*("[^"]*"|'[^']*')""")
@@ -155,7 +154,7 @@ class UrdfText:
 
 
 def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> UrdfText:
-    """Read and check a URDF file, a calibration of Universal Robots (YAML), or a file of another format.
+    """Read and check a URDF file, or a file of another format, such as a calibration of Universal Robots (YAML).
 
     Entry points of the group `calib.robot_readers` turn other formats into a URDF. Each is named by the file's ending,
     such as `xacro`, or by the outermost element of its XML, such as `sdf`: a function of path, content and arguments
@@ -168,12 +167,10 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
         UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a file of
             another format that cannot be turned into a URDF.
     """
-    source, ending = read_bytes(path, "the path of a URDF", UrdfError), Path(path).suffix
+    source, ending = read_bytes(path, "the path of a URDF", UrdfError), Path(path).suffix.lower()
     if arguments and ending != ".xacro":
         raise UrdfError(f"{path}: is no xacro file, and takes no arguments; leave out {', '.join(arguments)}")
-    if ending.lower() in (".yaml", ".yml"):
-        return parse_urdf(ur_urdf(read_origins(path)), str(path))
-    kind = "xacro" if ending == ".xacro" else _outermost(source)
+    kind = {".xacro": "xacro", ".yaml": "yaml", ".yml": "yaml"}.get(ending) or _outermost(source)
     for entry in list_entry_points("calib.robot_readers") if kind not in ("robot", "") else ():
         if entry.name == kind:
             urdf, foreign = load_named(entry, "reader of robots")(str(path), source, arguments or {})

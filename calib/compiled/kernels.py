@@ -1,8 +1,8 @@
 """Kinematics compiled with numba: closing loops, and derivatives through them, without Python.
 
-The same formulas as in `continuation`, `kinematics` and `jacobian` of this room,
-which stay the reference and work without numba; tests hold both together to 1e-12 on every robot. One pose comes after
-the other, joint by joint. Loops whose directions are constrained (type 6d) are left to the reference.
+The same formulas as in `continuation`, `kinematics` and `jacobian` of `calib.core.robots`, which stay the reference and
+work without numba; tests hold both together to 1e-12 on every robot. One pose comes after the other, joint by joint.
+Loops whose directions are constrained (type 6d) are left to the reference.
 
 A frame i has the pose T_i in the world, twelve numbers: its rotation column by column, then its position
 (`calib.core.robots.mechanism.flat_poses`). Frame 0 is the world; joint i, behind an origin, moves frame i + 1; its axis

@@ -1,7 +1,7 @@
-"""Universal Robots' calibration (the YAML of `ur_calibration`, and `default_kinematics.yaml`) as a URDF.
+"""A calibration of Universal Robots (`calib.core.robots.urdf.ur_calibration`) as a URDF.
 
-Its key `kinematics` has six joint origins, from `base_link_inertia` on. The URDF has the names of `ur_description`, and
-its fixed frames: `base` (half a turn from `base_link`), `flange` and `tool0`.
+The URDF has the names of `ur_description`, and its fixed frames: `base` (half a turn from `base_link`), `flange` and
+`tool0`.
 
 The axes of shoulder and elbow are parallel, so their origins may be metres away along them, and single numbers cannot
 be compared with the type's. Instead, positions are compared at a few hundred poses, with the best base. A robot differs
@@ -28,11 +28,9 @@ from calib.core.base.sections import read_yaml
 from calib.core.base.units import quantity_text
 from calib.core.numerics.halton import halton
 from calib.core.numerics.rigid import best_transform
+from calib.core.robots.urdf.ur_calibration import JOINTS, KEYS, LINKS, is_ur_kinematics
 from calib.core.robots.urdf.writing import joint_text, robot_text
 
-LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-JOINTS = tuple(f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
-KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 TYPES = {
     "ur3": (0.1519, -0.24365, -0.21325, 0.11235, 0.08535, 0.0819),
     "ur5": (0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823),
@@ -97,9 +95,9 @@ def nearest_type(origins: FloatArray) -> tuple[str, float]:
     return nearest, away[nearest]
 
 
-def is_ur_kinematics(content: object) -> bool:
-    """Return whether the content of a YAML file is a calibration of Universal Robots."""
-    return isinstance(content, dict) and isinstance(content.get("kinematics"), dict) and "urdf" not in content
+def read_ur(path: str, source: bytes, arguments: Mapping[str, str]) -> tuple[bytes, None]:
+    """Return the URDF of a calibration; a reader of robots (`calib.core.robots.urdf.text.read_urdf`)."""
+    return ur_urdf(read_origins(path)), None
 
 
 def read_origins(path: Path | str) -> FloatArray:

@@ -119,7 +119,7 @@ def test_poses_that_cannot_close_are_refused_alike():
 
 @pytest.mark.quick(0)
 def test_systems_are_solved_with_pivots():
-    numba, functions = import_module("numba"), import_module("calib.core.robots.kernels")
+    numba, functions = import_module("numba"), import_module("calib.compiled.kernels")
     solve = functions._solve  # only called by compiled code
 
     @numba.njit
@@ -182,7 +182,7 @@ def test_a_task_of_many_poses_is_worth_loading_it():
 @pytest.mark.parametrize("kept", [True, False])
 def test_fewer_poses_are_worth_it_if_an_earlier_program_has_compiled(monkeypatch, kept):
     mechanism = calib.load(EXAMPLES / "five_bar.yaml").mechanism
-    monkeypatch.setattr("calib.core.robots.kernels.is_compiled", lambda: kept)
+    monkeypatch.setattr("calib.compiled.kernels.is_compiled", lambda: kept)
     with compile_for(20_000):
         assert (kernels(mechanism, 10) is not None) is kept
     assert (kernels(mechanism, 5000) is not None) is kept
@@ -196,7 +196,7 @@ def test_fewer_poses_are_worth_it_if_an_earlier_program_has_compiled(monkeypatch
 
 @pytest.mark.parametrize(("written", "kept"), [(1.0, True), (-1.0, False)])
 def test_compiled_code_is_kept_until_the_file_changes(monkeypatch, tmp_path, written, kept):
-    functions = import_module("calib.core.robots.kernels")
+    functions = import_module("calib.compiled.kernels")
     monkeypatch.setattr(functions, "motion", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
     assert not functions.is_compiled()
     index = tmp_path / "kernels.motion-324.py311.nbi"

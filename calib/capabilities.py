@@ -15,6 +15,7 @@ ENTRY_POINTS = tuple(
         ("calib.formats", "printers", "calib.printers.file_formats:FORMATS"),
         ("calib.formats", "more", "calib.exporting.file_formats:MORE_FORMATS"),
         ("calib.methods", "export", "calib.exporting.formats:export"),
+        ("calib.methods", "bags", "calib.files.rosbag"),
         ("calib.methods", "photographs", "calib.photographs.rendering:photographs"),
         ("calib.methods", "select", "calib.planning.selection:select"),
         ("calib.methods", "shortest_order", "calib.planning.measurement_order:shortest_order"),

@@ -61,8 +61,7 @@ def solve_rotations(
 
 def rotation_form(links: FloatArray, seen: FloatArray) -> FloatArray:
     """Return the bilinear form of C and M, (..., 9, 9), of L_i and A_i, (..., n, 3, 3)."""
-    outer = np.swapaxes(links.reshape(*links.shape[:-2], 9), -1, -2) @ seen.reshape(*seen.shape[:-2], 9)
-    return np.swapaxes(outer.reshape(*links.shape[:-3], 3, 3, 3, 3), -3, -2).reshape(outer.shape)
+    return np.einsum("...kad,...kbc->...abdc", links, seen).reshape(*links.shape[:-3], 9, 9)
 
 
 def _times(form: FloatArray, rotation: FloatArray) -> FloatArray:

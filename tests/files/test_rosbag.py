@@ -6,7 +6,7 @@ from click.testing import CliRunner
 
 import calib
 from calib.core.commands.fit import command
-from calib.core.data.rosbag import is_bag
+from calib.core.data.other_formats import is_bag
 from tests.project import EXAMPLES
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")

@@ -28,7 +28,6 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DataError
 from calib.core.base.words import count_noun
 
-_SUFFIXES = (".mcap", ".db3")
 _WINDOW = 0.25  # before and after a measurement [s]
 _STILL = 5e-4  # largest motion of a joint in this window [rad or m]
 _JOINTS = "sensor_msgs/msg/JointState"
@@ -64,14 +63,6 @@ class _Series:
         times = np.array(self.stamps if stamped else self.recorded)
         order = np.argsort(times, kind="stable")
         return times[order], np.array(self.values)[order]
-
-
-def is_bag(path: Path | str) -> bool:
-    """Whether a path is a bag: a folder with `metadata.yaml`, or a file `.mcap` or `.db3`."""
-    try:
-        return Path(path).suffix in _SUFFIXES or (Path(path) / "metadata.yaml").is_file()
-    except OSError:  # reading the file will raise the error
-        return False
 
 
 def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[str, ...]]:

@@ -34,7 +34,6 @@ from calib.core.base.sections import (
 )
 from calib.core.base.units import millimetres, quantity
 from calib.core.commands.common import Output
-from calib.core.commands.first_files import FirstFiles
 from calib.core.data.other_formats import OtherFormat, SomeFile
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import (
@@ -64,6 +63,7 @@ from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm, T
 from calib.core.robots.terms.terms import TERMS
 from calib.quality.protocol import Check, Phase
 from calib.redundancy.named_origins import NamedComponent, NamedOrigins
+from calib.shared.first_files import FirstFiles
 
 __all__ = [
     "KINDS",

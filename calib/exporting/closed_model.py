@@ -24,11 +24,11 @@ from calib.core.robots.closure import residual
 from calib.core.robots.mechanism import rigid
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import urdf_of_origins
-from calib.core.robots.urdf.links import read_links
 from calib.core.robots.urdf.reader import HELD_TYPES
 from calib.core.robots.urdf.text import UrdfText, parse_urdf
 from calib.core.robots.urdf.writing import quote_attribute
 from calib.exporting.gap import Gap, free_joints, loop_gaps, require_small
+from calib.shared.links import read_links
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
 """Mass [kg] and moments of inertia [kg m^2] of the links between free joints: the least that simulators can handle."""

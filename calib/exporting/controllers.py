@@ -32,12 +32,12 @@ from calib.core.robots.file_formats import FormatFile, error_comparison
 from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import without_terms
-from calib.core.robots.urdf.denavit_hartenberg import Convention, DhRow, Kind
-from calib.core.robots.urdf.ur_calibration import JOINTS, KEYS, LINKS
 from calib.core.rows.registration import register
 from calib.exporting.dh_tables import dh_table, format_dh, table_poses
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
 from calib.exporting.toolbox import ExactDumper
+from calib.shared.denavit_hartenberg import Convention, DhRow, Kind
+from calib.shared.ur_calibration import JOINTS, KEYS, LINKS
 
 _EXACT = 1e-9  # noise of predicted positions [m]: so small that priors decide only what positions leave open
 _NOTHING = 1e-12  # smaller offsets are zero [m or rad]

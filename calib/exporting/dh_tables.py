@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg tables of chains of joints (`calib.core.robots.urdf.denavit_hartenberg`), as CSV files.
+"""Denavit-Hartenberg tables of chains of joints (`calib.shared.denavit_hartenberg`), as CSV files.
 
 The conversion. Let M_i be the fixed transforms between neighbouring joints. Each is a product M = Z X Z'. X goes along
 the common normal of the two axes, and Z' turns about and slides along the next axis. Z' commutes with the motion of the
@@ -27,7 +27,7 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray
 from calib.core.base.units import DISPLAY_UNIT, PER_SI
 from calib.core.data.table_writing import format_table
-from calib.core.robots.urdf.denavit_hartenberg import (
+from calib.shared.denavit_hartenberg import (
     CONVENTION_MARK,
     NUMBERS,
     Convention,

@@ -25,8 +25,8 @@ from calib.core.robots.loading import load
 from calib.core.robots.loading import robot as robot_of
 from calib.core.robots.parametrisation import default_sections
 from calib.core.robots.robot import Robot
-from calib.core.robots.urdf.ur_calibration import JOINTS
 from calib.fleets.ur_kinematics import nearest_type, nominal_origins, read_origins, ur_urdf
+from calib.shared.ur_calibration import JOINTS
 
 _POSES = 40
 _STEP = 5e-5, 2e-4  # rounding of poses, far below the differences between robots [m], [rad]

@@ -1,4 +1,4 @@
-"""A calibration of Universal Robots (`calib.core.robots.urdf.ur_calibration`) as a URDF.
+"""A calibration of Universal Robots (`calib.shared.ur_calibration`) as a URDF.
 
 The URDF has the names of `ur_description`, and its fixed frames: `base` (half a turn from `base_link`), `flange` and
 `tool0`.
@@ -28,8 +28,9 @@ from calib.core.base.sections import read_yaml
 from calib.core.base.units import quantity_text
 from calib.core.numerics.halton import halton
 from calib.core.numerics.rigid import best_transform
-from calib.core.robots.urdf.ur_calibration import JOINTS, KEYS, LINKS, is_ur_kinematics
+from calib.core.robots.urdf.text import is_ur_kinematics
 from calib.core.robots.urdf.writing import joint_text, robot_text
+from calib.shared.ur_calibration import JOINTS, KEYS, LINKS
 
 TYPES = {
     "ur3": (0.1519, -0.24365, -0.21325, 0.11235, 0.08535, 0.0819),

@@ -14,14 +14,14 @@ from calib.core.base.registry import load_entry, load_group
 from calib.core.base.sections import parse_yaml
 from calib.core.base.units import quantity_text
 from calib.core.commands.common import Output, shared_options
-from calib.core.commands.first_files import FirstFiles
 from calib.core.data.measurement_columns import header
 from calib.core.data.table_writing import format_table
 from calib.core.robots.description import validate_description
 from calib.core.robots.loading import build, first_description
 from calib.core.robots.robot import Robot
-from calib.core.robots.urdf.denavit_hartenberg import CONVENTIONS
 from calib.core.robots.urdf.text import UrdfText, parse_urdf, read_urdf
+from calib.shared.denavit_hartenberg import CONVENTIONS
+from calib.shared.first_files import FirstFiles
 from calib.starting.descriptions import MEASURES, Measure, description_text, schema_text
 from calib.starting.dh_tables import LAST_LINK, urdf_of_table
 from calib.starting.templates import TEMPLATES, read_lengths

@@ -1,4 +1,4 @@
-"""Robots from Denavit-Hartenberg tables in CSV files (`calib.core.robots.urdf.denavit_hartenberg`).
+"""Robots from Denavit-Hartenberg tables in CSV files (`calib.shared.denavit_hartenberg`).
 
 One row for each joint, in the order of the chain: `joint`, `type` (revolute, prismatic or fixed), `theta`, `d`, `a`,
 `alpha` and, where it is needed, `beta`, with units in the header; `offset` (added to theta or d), `sign` (1 or -1),
@@ -19,7 +19,9 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, nearest, require_known
 from calib.core.base.units import DISPLAY_UNIT, Dimension, per_si, quantity
 from calib.core.data.tables import Table, check_plausible, read_number, read_table
-from calib.core.robots.urdf.denavit_hartenberg import (
+from calib.core.robots.urdf.reader import Triple
+from calib.core.robots.urdf.writing import joint_text, robot_text
+from calib.shared.denavit_hartenberg import (
     CONVENTION_MARK,
     CONVENTIONS,
     KINDS,
@@ -31,8 +33,6 @@ from calib.core.robots.urdf.denavit_hartenberg import (
     new_name,
     z_transform,
 )
-from calib.core.robots.urdf.reader import Triple
-from calib.core.robots.urdf.writing import joint_text, robot_text
 
 _NEEDED = ("theta", "d", "a", "alpha")
 _COLUMNS = ("joint", "type", *NUMBERS, "offset", "sign", "lower", "upper")

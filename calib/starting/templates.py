@@ -25,8 +25,8 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError, require_known
 from calib.core.base.units import quantity, quantity_text
-from calib.core.robots.urdf.plan import BASE, HERE, Plan
 from calib.core.robots.urdf.writing import robot_text
+from calib.shared.plan import BASE, HERE, Plan
 
 _DELTA = (-0.6, 1.2)  # range in which all three arms of a usual delta reach the platform [rad]
 Lengths = Mapping[str, float]

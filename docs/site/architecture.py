@@ -1,8 +1,8 @@
 """The rooms of the core, the capabilities beside them, and the picture of both. A test holds them against the imports.
 
 A module of the core imports, also inside functions and for type checkers, only from its own room and from rooms of
-lower floors; a capability, from the core. What capabilities bring to the core stands in `calib/capabilities.py`, by
-name. No modules import each other in a circle.
+lower floors; a capability, from the core and from `shared`. What capabilities bring to the core stands in
+`calib/capabilities.py`, by name. No modules import each other in a circle.
 """
 
 from __future__ import annotations
@@ -66,7 +66,10 @@ CORE = (
     Room("Results", 9, ("core.results",)),
     Room("Commands", 10, ("core.commands", "core")),
 )
+SHARED = Room("Shared", None, ("shared",))
+"""Needed by several capabilities, and not by the core; so they import it."""
 CAPABILITIES = (
+    SHARED,
     Room("Starting", None, ("starting",)),
     Room("Planning", None, ("planning",)),
     Room("Motion", None, ("motion",)),

@@ -125,7 +125,7 @@ def test_a_leg_with_a_spring_and_a_rod_gets_a_description(tmp_path, run_calib):
 def test_meshes_beside_a_relative_path_are_found(tmp_path, monkeypatch):
     import trimesh
 
-    from calib.core.robots.urdf.links import find_mesh
+    from calib.core.robots.urdf.meshes import find_mesh
 
     (tmp_path / "arm" / "assets").mkdir(parents=True)
     trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "arm" / "assets" / "box.stl")

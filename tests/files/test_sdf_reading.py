@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.robots.urdf.links import read_links
 from calib.core.robots.urdf.text import read_urdf
+from calib.shared.links import read_links
 
 ARM = """<?xml version="1.0"?>
 <sdf version="{version}"><world name="w"><model name="arm"><pose>5 5 5 0 0 1</pose>

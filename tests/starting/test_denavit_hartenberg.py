@@ -10,9 +10,9 @@ from click.testing import CliRunner
 import calib
 from calib.core.base.errors import InputError
 from calib.core.robots.robot_files import urdf_of_origins
-from calib.core.robots.urdf.denavit_hartenberg import DhRow
 from calib.exporting.command import command as export_command
 from calib.exporting.dh_tables import dh_table, table_poses
+from calib.shared.denavit_hartenberg import DhRow
 from calib.starting.command import command as init_command
 from calib.starting.dh_tables import read_dh
 

@@ -32,8 +32,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.gravity import columns_of
 from calib.core.robots.terms.terms import condition_columns
 from calib.core.robots.urdf.arm_chain import ArmChain, arm_chain
-from calib.core.robots.urdf.text import UrdfText, read_urdf
-from calib.core.robots.urdf.ur_calibration import is_ur_kinematics
+from calib.core.robots.urdf.text import UrdfText, is_ur_kinematics, read_urdf
 
 _SAME_ORIGIN = 1e-4
 """Difference that rounding may leave between the origins of a stock URDF and of its model [m or 1]."""

@@ -178,6 +178,11 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
     return parse_urdf(source, str(path))
 
 
+def is_ur_kinematics(content: object) -> bool:
+    """Return whether the content of a YAML file is a calibration of Universal Robots, no robot description."""
+    return isinstance(content, dict) and isinstance(content.get("kinematics"), dict) and "urdf" not in content
+
+
 def _outermost(source: bytes) -> str:
     """The tag of a file's outermost element, such as `mujoco` of MJCF or `sdf`; empty if it is no XML."""
     try:

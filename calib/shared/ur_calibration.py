@@ -9,8 +9,3 @@ from __future__ import annotations
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 JOINTS = tuple(f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
 KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
-
-
-def is_ur_kinematics(content: object) -> bool:
-    """Return whether the content of a YAML file is a calibration of Universal Robots."""
-    return isinstance(content, dict) and isinstance(content.get("kinematics"), dict) and "urdf" not in content

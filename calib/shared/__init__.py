@@ -1,1 +1,1 @@
-"""What several capabilities need of the files of robots, and the core does not."""
+"""What several capabilities need, and the core does not: of poses, and of the files of robots."""

@@ -25,8 +25,8 @@ from calib.core.data.plan_files import read_plan
 from calib.core.instruments.pixel import Pixel
 from calib.core.robots.configurations import near_singularities
 from calib.core.robots.robot import Robot
-from calib.core.rows.free_poses import free_poses
 from calib.core.rows.simulate import simulate, unstated_noise
+from calib.shared.free_poses import free_poses
 
 
 @click.command("simulate")

@@ -267,7 +267,7 @@ SHAPED = """<mujoco model="shaped"><compiler angle="radian"/><default><geom cont
 
 
 def test_shapes_that_collide_in_mujoco_collide_here(tmp_path, run_calib):
-    from calib.core.robots.pose_check import check_poses
+    from calib.shared.pose_check import check_poses
 
     (tmp_path / "arm.xml").write_text(SHAPED)
     robot = calib.robot(tmp_path / "arm.xml", self_clearance=0.0)

@@ -5,9 +5,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.core.numerics import null_space
-from calib.core.numerics.null_space import describe_group, natural_coefficients, null_groups, shortest_basis
 from calib.core.robots.jacobian import linearise
+from calib.shared import null_space
+from calib.shared.null_space import describe_group, natural_coefficients, null_groups, shortest_basis
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace

@@ -8,9 +8,9 @@ from calib.core.base.errors import DataError
 from calib.core.data.measurements import Poses
 from calib.core.numerics.identifiability import numerical_rank
 from calib.core.numerics.observability import observability
-from calib.core.robots.pose_check import check_poses
 from calib.core.robots.robot import Robot
-from calib.core.rows.candidates import rows_of_measured
+from calib.shared.candidates import rows_of_measured
+from calib.shared.pose_check import check_poses
 
 
 def free_poses(robot: Robot, poses: Poses) -> tuple[Poses, tuple[str, ...]]:

@@ -11,14 +11,14 @@ from calib.core.base.version import VERSION
 from calib.core.commands.program import run_program
 
 _COMMANDS = {
-    "init": ("calib.core.commands.init", "Write a robot description to start from."),
+    "init": ("calib.starting.command", "Write a robot description to start from."),
     "check": ("calib.planning.commands.check", "Say which parameters poses determine, and how well."),
     "sample": ("calib.planning.commands.sample", "Write poses that a robot can take."),
     "compare": ("calib.fleets.compare_command", "Show results side by side."),
     "fleet": ("calib.fleets.command", "Make a prior for the next robot of a model."),
     "select": ("calib.planning.commands.select", "Choose the poses to measure."),
     "route": ("calib.motion.command", "Plan a way through poses, as a program for the robot."),
-    "simulate": ("calib.core.commands.simulate", "Simulate measurements."),
+    "simulate": ("calib.studies.simulate_command", "Simulate measurements."),
     "study": ("calib.studies.command", "Calibrate many times from simulated measurements."),
     "fit": ("calib.core.commands.fit", "Calibrate a robot from measurements."),
     "predict": ("calib.core.commands.predict", "Predict where the targets are."),

@@ -16,6 +16,7 @@ A package names its additions in its `pyproject.toml`, under these groups of ent
 A notebook registers kinds and terms in `KINDS` and `TERMS`. `check_kind` and `check_term` test them.
 """
 
+from calib.checking import check_kind, check_term
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import ComputationError, DataError, DescriptionError, InputError
 from calib.core.base.parameter import Parameter
@@ -33,10 +34,8 @@ from calib.core.base.sections import (
 )
 from calib.core.base.units import millimetres, quantity
 from calib.core.commands.common import Output
-from calib.core.commands.first_files import FirstFiles
 from calib.core.data.other_formats import OtherFormat, SomeFile
 from calib.core.fitting.fitted import Fit
-from calib.core.instruments.checking import check_kind, check_term
 from calib.core.instruments.kind import (
     Column,
     Comparison,
@@ -64,6 +63,7 @@ from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm, T
 from calib.core.robots.terms.terms import TERMS
 from calib.quality.protocol import Check, Phase
 from calib.redundancy.named_origins import NamedComponent, NamedOrigins
+from calib.shared.first_files import FirstFiles
 
 __all__ = [
     "KINDS",

@@ -22,7 +22,7 @@ import pinocchio as pin
 import scipy
 
 import calib
-from calib.core.commands.init import command
+from calib.starting.command import command
 from tests.project import EXAMPLES
 
 ROBOTS = {"arm": [str(EXAMPLES / "arm.urdf")], "UR10e": ["--dh", str(EXAMPLES / "ur10e_dh.csv")]}

@@ -14,8 +14,9 @@ from calib import Robot
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError
 from calib.core.base.words import count_noun
-from calib.core.robots.urdf.links import Link, find_mesh, read_links
-from calib.core.robots.urdf.links import LinkShape as Visual
+from calib.core.robots.urdf.meshes import find_mesh
+from calib.shared.links import Link, read_links
+from calib.shared.links import LinkShape as Visual
 from viz.plain_links import PlainLinks
 from viz.shapes import GREY, Colour, Shape, mesh, primitive, thin
 

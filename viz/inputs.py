@@ -10,9 +10,9 @@ from calib.core.base.errors import InputError
 from calib.core.data.measurements import Poses
 from calib.core.results.result_reading import load_result
 from calib.core.results.version_1 import EarlierResult
-from calib.core.robots.pose_check import check_poses
 from calib.core.rows.registration import register
 from calib.core.rows.whitening import Whitening
+from calib.shared.pose_check import check_poses
 from viz import reading_errors
 from viz.judgement import Judgement, judgement_of_result
 from viz.judgement import judgement_of_fit as judgement_of_fit

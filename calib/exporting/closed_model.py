@@ -16,17 +16,19 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
+from calib.core.numerics import linalg
 from calib.core.results.urdf import with_inserted
 from calib.core.robots.closure import residual
 from calib.core.robots.mechanism import rigid
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import urdf_of_origins
-from calib.core.robots.urdf.links import possible_inertia, read_links
 from calib.core.robots.urdf.reader import HELD_TYPES
 from calib.core.robots.urdf.text import UrdfText, parse_urdf
 from calib.core.robots.urdf.writing import quote_attribute
 from calib.exporting.gap import Gap, free_joints, loop_gaps, require_small
+from calib.shared.links import read_links
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
 """Mass [kg] and moments of inertia [kg m^2] of the links between free joints: the least that simulators can handle."""
@@ -252,3 +254,19 @@ def servo_gains(inertia: float) -> tuple[float, float]:
     """Return stiffness and damping of a critically damped servo [N/m, N s/m or N m, N m s], six digits each."""
     rate, inertia = 2 * math.pi * SERVO_FREQUENCY, max(inertia, _LEAST_INERTIA)
     return float(f"{rate**2 * inertia:.6g}"), float(f"{2 * rate * inertia:.6g}")
+
+
+def possible_inertia(inertia: FloatArray) -> FloatArray:
+    """Return the nearest physically possible inertia: positive moments, none above the sum of the other two.
+
+    `inertia` is about the centre of mass, (3, 3) [kg m^2], symmetric.
+    """
+    moments, axes = linalg.eigh(inertia)
+    fixed = np.maximum(moments, max(1e-6 * float(moments[2]), 1e-12))
+    excess = fixed[2] - fixed[0] - fixed[1]
+    if excess > 0:
+        fixed[:2] += excess / 2 * (1 + 1e-9) + 1e-15
+    if np.array_equal(fixed, moments):
+        return inertia
+    result: FloatArray = axes @ np.diag(fixed) @ axes.T
+    return (result + result.T) / 2

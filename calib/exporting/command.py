@@ -19,10 +19,10 @@ from calib.core.commands.common import (
 )
 from calib.core.results.result_reading import read_content
 from calib.core.robots.file_formats import formats
-from calib.core.robots.urdf.links import read_links
 from calib.core.robots.urdf.text import UrdfText
 from calib.exporting.file_formats import LANGUAGES
 from calib.exporting.formats import JOINT_TABLES, export, format_of
+from calib.shared.links import read_links
 
 _WORTH_A_SLIDE = 1e-6  # change of a gap that deserves a remark [m or rad]
 

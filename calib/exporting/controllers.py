@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -19,7 +20,6 @@ from calib.core.base.errors import InputError
 from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.core.base.words import listing
 from calib.core.calibrating.file_robots import with_zeros
-from calib.core.data.dh_files import format_dh
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.data.table_writing import format_table
@@ -32,11 +32,12 @@ from calib.core.robots.file_formats import FormatFile, error_comparison
 from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import without_terms
-from calib.core.robots.urdf.denavit_hartenberg import Convention, DhRow, Kind, dh_table
-from calib.core.robots.urdf.ur_kinematics import JOINTS, KEYS, LINKS
 from calib.core.rows.registration import register
+from calib.exporting.dh_tables import dh_table, format_dh, table_poses
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
 from calib.exporting.toolbox import ExactDumper
+from calib.shared.denavit_hartenberg import Convention, DhRow, Kind
+from calib.shared.ur_calibration import JOINTS, KEYS, LINKS
 
 _EXACT = 1e-9  # noise of predicted positions [m]: so small that priors decide only what positions leave open
 _NOTHING = 1e-12  # smaller offsets are zero [m or rad]
@@ -62,7 +63,7 @@ def dh_file(robot: Robot, convention: Convention, provenance: Sequence[str] = ()
     after = [*turns, pin.SE3.Identity()]
     links = [a.inverse() * link * b for a, link, b in zip(before, chain.links, after, strict=True)]
     table = dh_table(links, [_dh_row(robot, joint.name) for joint in chain.joints], convention)
-    left = remainder(robot, chain, table.poses)
+    left = remainder(robot, chain, partial(table_poses, table))
     statement = f"{_chain_text(robot, chain)}: {left.text()}"
     along, across = "Rot z(theta) Trans z(d)", "Trans x(a) Rot x(alpha) Rot y(beta)"
     product = f"{along} {across}" if convention == "standard" else f"{across} {along}"

@@ -14,10 +14,10 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.results.urdf import comment, numbers, provenance_lines, with_inserted
-from calib.core.robots.urdf.links import element_tree
 from calib.core.robots.urdf.text import parse_urdf
 from calib.core.robots.urdf.writing import quote_attribute
 from calib.exporting.closed_model import ClosedModel, Marker, Tie, servo_gains, tie_lines
+from calib.shared.links import element_tree
 
 NAMESPACE = "http://drake.mit.edu"
 

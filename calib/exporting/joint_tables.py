@@ -13,7 +13,7 @@ beside the tables. Tables must not be used with the origins of another file.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,16 +63,9 @@ def joint_tables(robot: Robot) -> tuple[JointTable, ...]:
     require_own_terms(robot)
     kept = without_terms(robot, Holds.TABLES)
     bound = dict.fromkeys(kept.joint_names, 0.0)
-    for term, values in term_values(kept):
+    for term, values in kept.term_values():
         bound[term.joint] += term.curvature(values)
     return tuple(_table(kept, joint, curvature) for joint, curvature in bound.items())
-
-
-def term_values(robot: Robot) -> Iterator[tuple[JointTerm, FloatArray]]:
-    """Yield each joint term with the values of its parameters, (n_parameters,) [SI]."""
-    start = robot.coefficients.start
-    for term in robot.terms:
-        yield term, robot.values[start : (start := start + len(term.parameters))]
 
 
 def require_own_terms(robot: Robot) -> None:
@@ -86,7 +79,7 @@ def require_own_terms(robot: Robot) -> None:
 
 def lost_by_tables(robot: Robot) -> list[str]:
     """Return the errors of a robot that no table can hold, with their sizes, one line each."""
-    left = ((term, values) for term, values in term_values(robot) if not Holds.TABLES.keeps(term))
+    left = ((term, values) for term, values in robot.term_values() if not Holds.TABLES.keeps(term))
     return [_remark_on_rest(term, values, robot.mechanism.dimensions[term.joint]) for term, values in left]
 
 

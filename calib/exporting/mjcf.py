@@ -28,10 +28,10 @@ import pinocchio as pin
 from calib.core.base.errors import InputError
 from calib.core.results.urdf import comment, numbers, provenance_lines
 from calib.core.robots.mechanism import rigid
-from calib.core.robots.urdf.links import Inertial, Link, possible_inertia, read_links
 from calib.core.robots.urdf.reader import HELD_TYPES, UrdfJoint
-from calib.exporting.closed_model import ClosedModel, joint_motion, servo_gains, tie_lines
+from calib.exporting.closed_model import ClosedModel, joint_motion, possible_inertia, servo_gains, tie_lines
 from calib.exporting.mjcf_shapes import MjcfShapes, add_surroundings, pose_attributes
+from calib.shared.links import Inertial, Link, read_links
 
 TIE_SOFTNESS = {"solref": "-1000000 -1000", "solimp": "0.999 0.999 0.001 0.5 2"}
 """MuJoCo's softness of the ties: stiffness [1/s^2] and damping [1/s] per effective mass, and impedance (1 is rigid)."""

@@ -17,7 +17,8 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.results.urdf import numbers
-from calib.core.robots.urdf.links import Link, LinkShape, find_mesh
+from calib.core.robots.urdf.meshes import find_mesh
+from calib.shared.links import Link, LinkShape
 
 _MAX_FACES = 200_000  # faces of a binary STL file, MuJoCo's limit
 _GREY = (0.6, 0.6, 0.6, 1.0)

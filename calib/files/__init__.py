@@ -1,1 +1,1 @@
-"""Files of measurements as other programs write them."""
+"""Files of measurements and of robots as other programs write them."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from calib.core.data.other_formats import OtherFormat, SomeFile
-from calib.files import arrays, reports, text
+from calib.files import arrays, text
 
 _Head = TypeVar("_Head")
 
@@ -131,7 +131,7 @@ FORMATS = (
         "a report of measured and nominal values, as PolyWorks and FARO write it",
         "`Name` with `Meas X`, `Actual X`, ...; or `Meas` and a column that names the axes X, Y, Z, one in each row",
         "columns pose (the name), and measured X, Y, Z; the header or a line above states their unit",
-        *_test_and_reader(reports.find_layout, reports.report_lines),
+        *_test_and_reader(text.find_layout, text.report_lines),
     ),
     OtherFormat(
         "a table with names above X, Y, Z, as Vicon and TRC files have them",

@@ -1,6 +1,6 @@
 """A result folder from the maker's calibration of a robot, as if `calib fit` had fitted the stock model of its type.
 
-Controllers of Universal Robots compute with a calibration (`calib.core.robots.urdf.ur_kinematics`). The stock model of
+Controllers of Universal Robots compute with a calibration (`calib.fleets.ur_kinematics`). The stock model of
 the type is fitted to rounded poses of the robot in this file, with all joint origins free, and base and tool known.
 Single numbers of two files cannot be compared, because parallel axes leave some of them undetermined. The prior of the
 fit puts all robots of a type into one gauge, and its covariance shows which combinations stay undetermined.
@@ -25,7 +25,8 @@ from calib.core.robots.loading import load
 from calib.core.robots.loading import robot as robot_of
 from calib.core.robots.parametrisation import default_sections
 from calib.core.robots.robot import Robot
-from calib.core.robots.urdf.ur_kinematics import JOINTS, nearest_type, nominal_origins, read_origins, ur_urdf
+from calib.fleets.ur_kinematics import nearest_type, nominal_origins, read_origins, ur_urdf
+from calib.shared.ur_calibration import JOINTS
 
 _POSES = 40
 _STEP = 5e-5, 2e-4  # rounding of poses, far below the differences between robots [m], [rad]

@@ -1,8 +1,6 @@
 """Base and tool that carry a robot's poses to printed poses: T_printed = X T_robot(q) Y.
 
-Rotations first: X and Y maximise the sum of tr(X^T R_i Y^T N_i^T) over the printed rotations R_i and the robot's N_i.
-Without orthogonality this is the first pair of singular vectors of sum R_i (x) N_i (9 x 9); a few alternating
-projections onto rotations follow. Then p_i = X (n_i + N_i t_Y) + t_X is linear in both translations.
+This is the hand-eye problem X^-1 T_printed = T_robot Y (`calib.core.instruments.hand_eye`).
 
 Rows with large misses are left out and the rest is aligned again, so that a row of another program does not spoil the
 result.
@@ -17,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.instruments.hand_eye import rotation_form, solve_poses
 from calib.core.numerics import linalg
-from calib.core.numerics.rigid import nearest_rotation
 
 ARM = 0.3
 """Length of the lever by which a rotation counts as a distance [m]."""
@@ -58,7 +56,8 @@ def align(robot: FloatArray, printed: FloatArray) -> Alignment:
     """
     kept = np.ones(len(robot), dtype=bool)
     for _ in range(_ROUNDS):
-        base, tool = _align(robot[kept], printed[kept])
+        inverse_base, tool = solve_poses(robot[kept], printed[kept], (np.eye(4), np.eye(4)), (False, False))
+        base = np.linalg.inv(inverse_base)
         misses = distances(base @ robot @ tool, printed)
         near = misses <= max(_FAR * float(np.median(misses)), _LEAST)
         if np.array_equal(near, kept) or 3 * np.sum(near) < 2 * len(near):
@@ -72,14 +71,8 @@ def turns_apart(robot: FloatArray, printed: FloatArray) -> float:
     agreement, about 1 for unrelated rotations.
     """
     turned = max(1.0 - float(np.sum(np.mean(T, axis=0) ** 2)) / 3.0 for T in (robot, printed))
-    missed = 1.0 - float(linalg.singular_values(_product(robot, printed))[0]) / len(robot)
+    missed = 1.0 - float(linalg.singular_values(rotation_form(robot, printed))[0]) / len(robot)
     return missed / max(turned, 1e-12)
-
-
-def _product(N: FloatArray, R: FloatArray) -> FloatArray:
-    """Sum of R_i (x) N_i, which takes vec(Y) to vec(N Y R^T), row by row, (9, 9)."""
-    outer = N.reshape(-1, 9).T @ R.reshape(-1, 9)
-    return outer.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
 
 
 def distances(poses: FloatArray, others: FloatArray) -> FloatArray:
@@ -87,18 +80,3 @@ def distances(poses: FloatArray, others: FloatArray) -> FloatArray:
     away = np.sum((poses[:, :3, 3] - others[:, :3, 3]) ** 2, axis=1)
     turned = np.sum((poses[:, :3, :3] - others[:, :3, :3]) ** 2, axis=(1, 2)) / 2.0  # 4 sin^2 of half the angle
     return np.asarray(np.sqrt(away + ARM**2 * turned))
-
-
-def _align(robot: FloatArray, printed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    N, R = robot[:, :3, :3], printed[:, :3, :3]
-    turned = linalg.svd(_product(N, R))[2][0].reshape(3, 3)
-    sign = 1.0 if np.linalg.det(turned) >= 0 else -1.0
-    Y = nearest_rotation(sign * turned)
-    for _ in range(_ROUNDS):
-        X = nearest_rotation(np.einsum("nab,bc,ndc->ad", N, Y, R)).T
-        Y = nearest_rotation(np.einsum("nba,cb,ncd->ad", N, X, R))
-    columns = np.concatenate([np.broadcast_to(np.eye(3), N.shape), X @ N], axis=2).reshape(-1, 6)
-    shifts = linalg.lstsq(columns, (printed[:, :3, 3] - robot[:, :3, 3] @ X.T).ravel())
-    base, tool = np.eye(4), np.eye(4)
-    base[:3, :3], base[:3, 3], tool[:3, :3], tool[:3, 3] = X, shifts[:3], Y, shifts[3:]
-    return base, tool

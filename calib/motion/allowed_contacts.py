@@ -26,9 +26,9 @@ from calib.core.base.errors import DataError, DescriptionError
 from calib.core.base.files import read_text
 from calib.core.base.words import count_noun
 from calib.core.robots.robot import Robot
-from calib.core.robots.urdf.links import element_tree
 from calib.motion.scene import CollisionScene, all_shapes, exceeds_limits, moving_between
 from calib.motion.shapes import is_moved_frame
+from calib.shared.links import element_tree
 
 _SAMPLES = 400
 _ALWAYS = 0.95  # shapes always touch if they do in this part of the samples

@@ -7,12 +7,12 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError
 from calib.core.base.memoize import memoize
-from calib.core.robots.pose_check import PoseCheck
 from calib.core.robots.robot import Robot
 from calib.core.robots.surroundings import UNCHECKED
 from calib.motion.allowed_contacts import build_scene, home_and_more
 from calib.motion.shapes import has_collision_shapes, missing_meshes
 from calib.motion.sight import Sight, sight_lines
+from calib.shared.pose_check import PoseCheck
 
 _SAMPLES = 100  # poses from which shapes that always hide a line are found
 
@@ -64,7 +64,7 @@ def what_hits(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
 
 
 def check_poses(robot: Robot, joints: FloatArray) -> PoseCheck:
-    """Return the check of commands (n, n_actuated) [m or rad]; see `calib.core.robots.pose_check`.
+    """Return the check of commands (n, n_actuated) [m or rad]; see `calib.shared.pose_check`.
 
     Raises:
         DescriptionError: See `surroundings`.

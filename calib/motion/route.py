@@ -28,12 +28,12 @@ from calib.core.instruments.touch import Touch
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
 from calib.core.robots.surroundings import FLOOR, UNCHECKED
-from calib.core.rows.candidates import configurations_at
 from calib.core.rows.observed import predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
 from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
 from calib.motion.scene import CollisionScene, exceeds_limits
+from calib.shared.candidates import configurations_at
 
 _NODES = 150  # poses of the roadmap in addition to the stops
 _ROUNDS = 6  # rounds of tries with the next best candidates

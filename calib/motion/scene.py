@@ -9,7 +9,8 @@ its axis. No point of this shape is farther from the axis than
     R_j = sum of the lengths of the following origins (and of slides) + radius of the shape about its link
 
 so the distance changes by at most sum_j R_j |dq_j|, with R_j = 1 for a sliding joint. This bound holds for any path
-between two configurations on which each joint j moves by at most |dq_j|. `calib.motion.moves` proves moves free by it.
+between two configurations on which each joint j moves by at most |dq_j|.
+`calib.motion.planner` proves moves free by it.
 
 Reference: schwarzer2005.
 """

@@ -26,7 +26,8 @@ from calib.core.base.words import listing
 from calib.core.robots.mechanism import rigid
 from calib.core.robots.robot_data import RobotData
 from calib.core.robots.surroundings import UNCHECKED, ShapeSection
-from calib.core.robots.urdf.links import LinkShape, find_mesh, read_links
+from calib.core.robots.urdf.meshes import find_mesh
+from calib.shared.links import LinkShape, read_links
 
 _MOST_TRIANGLES = 20_000
 _THIN = 0.04  # radius of capsules for links, in characteristic lengths of the robot

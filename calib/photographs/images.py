@@ -18,8 +18,9 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError, InputError
+from calib.core.base.registry import load_entry
 from calib.core.base.words import count_noun, listing
-from calib.core.data.rosbag import is_bag, joints_of_bag, messages_of_bag, stops
+from calib.core.data.other_formats import is_bag
 from calib.photographs.opencv import GreyImage, decode, read_image, to_grey
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
@@ -105,8 +106,8 @@ def _natural(path: str) -> list[object]:
 
 def _read_bag_images(source: str, topic: str | None) -> Iterator[Shot]:
     """The middle image of each stop of the robot; all images of a bag without joint states."""
-    kinds = (_RAW, _COMPRESSED)
-    recorded = [(name, stamp) for name, _, stamp, _ in messages_of_bag(source, kinds)]
+    kinds, bags = (_RAW, _COMPRESSED), load_entry("calib.methods", "bags")
+    recorded = [(name, stamp) for name, _, stamp, _ in bags.messages_of_bag(source, kinds)]
     topics = sorted({name for name, _ in recorded})
     if not topics:
         raise DataError(f"{source}: has no images ({_RAW} or CompressedImage); record their topic too")
@@ -116,11 +117,11 @@ def _read_bag_images(source: str, topic: str | None) -> Iterator[Shot]:
     if of_camera not in topics:
         raise InputError(f"{source}: has no images of the topic {of_camera}; it has {', '.join(topics)}")
     stamps = np.array([stamp for name, stamp in recorded if name == of_camera])
-    names, values, still = joints_of_bag(source, stamps)
+    names, values, still = bags.joints_of_bag(source, stamps)
     chosen = set(_one_of_each_stop(source, values, still) if names else range(len(stamps)))
     if not names:
         _LOG.warning("%s: has no joint states (sensor_msgs/JointState), so its images have no joint values", source)
-    images = (recording for recording in messages_of_bag(source, kinds) if recording[0] == of_camera)
+    images = (recording for recording in bags.messages_of_bag(source, kinds) if recording[0] == of_camera)
     for k, (_, kind, _, message) in enumerate(images):
         if k in chosen:
             joints = dict(zip(names, map(float, values[k]), strict=True)) if names else None
@@ -136,7 +137,7 @@ def _one_of_each_stop(source: str, values: FloatArray, still: BoolArray) -> list
             " before and after the image are missing"
         )
     moved, standing = np.flatnonzero(~still), np.flatnonzero(still)
-    stop = stops(values[standing])
+    stop = load_entry("calib.methods", "bags").stops(values[standing])
     chosen = [int(of_stop[len(of_stop) // 2]) for of_stop in np.split(standing, np.flatnonzero(np.diff(stop)) + 1)]
     left = []
     if len(moved):

@@ -40,7 +40,6 @@ from calib.core.instruments.rotations import rotation_vectors
 from calib.core.judging.reasons import Code
 from calib.core.judging.verdict import JudgedFit
 from calib.core.numerics.identifiability import eliminate, reduce_rows
-from calib.core.numerics.null_space import null_groups
 from calib.core.robots.description import validate_description
 from calib.core.robots.loading import build
 from calib.core.robots.robot import Robot
@@ -50,6 +49,7 @@ from calib.core.rows.observed import observe
 from calib.core.rows.unknowns import Unknowns
 from calib.photographs.hand_eye_result import FEW, WIDE, Frames, HandEyeJudgement, contents, transform
 from calib.photographs.scene import OTHER, SIDES, Mount
+from calib.shared.null_space import null_groups
 
 LEAST_PAIRS = 3
 _MUCH_BETTER = 3.0  # inverted poses are the right ones if residuals are more than this many times smaller with them

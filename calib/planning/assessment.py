@@ -29,12 +29,18 @@ from calib.core.data.measurement_columns import rank_in_visit
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import Elimination, Rank, eliminate, reduce_rows
-from calib.core.numerics.null_space import UnseenGroup, null_groups
 from calib.core.numerics.observability import Information, TaskIndex, information, observability_of, task_index
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
-from calib.core.rows.candidates import (
+from calib.core.rows.determination import Determination, determination
+from calib.core.rows.observed import observe, planned_readings
+from calib.core.rows.prediction import without_common_motion
+from calib.core.rows.unknowns import Unknowns
+from calib.planning.exchange import Spacing, exchange, uniform_start
+from calib.planning.pose_sampling import sample
+from calib.planning.selection_problem import TASK, build_problem
+from calib.shared.candidates import (
     WHITENED,
     assumed_sigma,
     positions_at,
@@ -43,13 +49,7 @@ from calib.core.rows.candidates import (
     rows_of_measured,
     rows_of_poses,
 )
-from calib.core.rows.determination import Determination, determination
-from calib.core.rows.observed import observe, planned_readings
-from calib.core.rows.prediction import without_common_motion
-from calib.core.rows.unknowns import Unknowns
-from calib.planning.exchange import Spacing, exchange, uniform_start
-from calib.planning.pose_sampling import sample
-from calib.planning.selection_problem import TASK, build_problem
+from calib.shared.null_space import UnseenGroup, null_groups
 
 _SAMPLED = 100
 """Number of sampled poses if none are given."""

@@ -15,10 +15,10 @@ from calib.core.base.words import as_data, count_noun, listing, plain_text, sent
 from calib.core.commands.next_steps import NOISE, words_of
 from calib.core.data.measurements import Measurements
 from calib.core.numerics.identifiability import Rank
-from calib.core.numerics.null_space import UnseenGroup, describe_group, natural_coefficients
 from calib.core.numerics.observability import INDICES, TaskIndex
-from calib.core.rows.candidates import WHITENED
 from calib.planning.assessment import CORRELATION_LIMIT, HARDLY, Assessment
+from calib.shared.candidates import WHITENED
+from calib.shared.null_space import UnseenGroup, describe_group, natural_coefficients
 
 _SHOWN = 12  # names in a list
 _FEW = 4  # names in the short answer

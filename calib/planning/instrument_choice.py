@@ -18,8 +18,8 @@ from calib.core.base.memory import zeros_with_room
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.plan_files import TOGETHER
 from calib.core.robots.robot import Robot
-from calib.core.rows.candidates import PoseRows, near_measured
 from calib.core.rows.observed import touches_without_target
+from calib.shared.candidates import PoseRows, near_measured
 
 ALL, EACH = "all", "each"
 """`ALL`: all instruments read at every chosen pose. `EACH`: each instrument is a group of its own."""

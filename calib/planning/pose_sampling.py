@@ -9,7 +9,7 @@ A camera sees its board from few poses. If only cameras read, poses are tried un
 (`FrameInstrument.sights`), poses are first brought there.
 
 If the robot file has shapes, or the description has obstacles, only free poses are returned
-(`calib.core.robots.pose_check`): more are drawn with the same seed until enough are free.
+(`calib.shared.pose_check`): more are drawn with the same seed until enough are free.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from calib.core.robots.described_instruments import MEASUREMENT_FRAME
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.joint_sampling import TRIES, Ranges
 from calib.core.robots.loading import RobotLike, as_robot
-from calib.core.robots.pose_check import PoseCheck, blocking_sentence, check_poses
 from calib.core.robots.robot import Robot
-from calib.core.rows.candidates import configurations_at
 from calib.core.rows.observed import planned_readings, predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
+from calib.shared.candidates import configurations_at
+from calib.shared.pose_check import PoseCheck, blocking_sentence, check_poses
 
 _TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses to try: for each needed one, and limits of all
 _AT_ONCE = 1_000

@@ -41,8 +41,6 @@ from calib.core.base.workers import Progress, Workers, results_in_order
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.numerics.observability import observability_of
 from calib.core.robots.loading import RobotLike, as_robot
-from calib.core.robots.pose_check import PoseCheck, check_poses
-from calib.core.rows.candidates import WHITENED
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import order_in_blocks, travel
@@ -51,6 +49,8 @@ from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_result import Run, Selection
 from calib.planning.selection_scores import index_values
 from calib.planning.selection_setting import SelectionSetting, prepare, require_count
+from calib.shared.candidates import WHITENED
+from calib.shared.pose_check import PoseCheck, check_poses
 
 SCREENED = 20_000
 """Above this number, candidates are screened, if the index has a bound and no least distance is set."""

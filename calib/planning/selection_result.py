@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.words import html_with_title
 from calib.core.numerics.identifiability import Rank
-from calib.core.robots.pose_check import PoseCheck
+from calib.shared.pose_check import PoseCheck
 
 
 @dataclass(frozen=True, eq=False)

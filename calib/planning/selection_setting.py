@@ -18,7 +18,13 @@ from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Poses
 from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
-from calib.core.rows.candidates import (
+from calib.core.rows.unknowns import Unknowns
+from calib.planning.exchange import Spacing, uniform_start
+from calib.planning.instrument_choice import Groups, PoseGroupPairs, already_read, pairs_of, require_planned_touches
+from calib.planning.selection_bound import CERTIFIED, largest
+from calib.planning.selection_problem import TASK, SelectionProblem, build_problem
+from calib.planning.selection_scores import CHOICES, index_of_score
+from calib.shared.candidates import (
     Candidates,
     assumed_sigma,
     build_candidates,
@@ -26,12 +32,6 @@ from calib.core.rows.candidates import (
     require_free,
     rows_of_measured,
 )
-from calib.core.rows.unknowns import Unknowns
-from calib.planning.exchange import Spacing, uniform_start
-from calib.planning.instrument_choice import Groups, PoseGroupPairs, already_read, pairs_of, require_planned_touches
-from calib.planning.selection_bound import CERTIFIED, largest
-from calib.planning.selection_problem import TASK, SelectionProblem, build_problem
-from calib.planning.selection_scores import CHOICES, index_of_score
 
 
 @dataclass(frozen=True, eq=False)

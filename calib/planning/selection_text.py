@@ -18,10 +18,10 @@ from calib.core.data.table_writing import format_table
 from calib.core.data.tables import Table
 from calib.core.numerics.observability import INDICES
 from calib.core.robots.robot import Robot
-from calib.core.rows.candidates import WHITENED
 from calib.planning.selection import Run, Selection
 from calib.planning.selection_bound import CERTIFIED
 from calib.planning.selection_problem import TASK
+from calib.shared.candidates import WHITENED
 
 _SHOWN = 8  # skipped candidates
 

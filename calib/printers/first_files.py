@@ -13,11 +13,11 @@ from calib.core.base.files import write_files
 from calib.core.base.units import millimetres, quantity
 from calib.core.base.words import count_noun
 from calib.core.commands.common import Output
-from calib.core.commands.first_files import FirstFiles
 from calib.core.robots.urdf.writing import robot_text
 from calib.printers.files import printer_table, read_printer
 from calib.printers.linear_delta import NAME, linear_delta_description, linear_delta_plan
 from calib.printers.rows import PrinterFile, expected_geometry, residuals
+from calib.shared.first_files import FirstFiles
 
 
 def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Output) -> None:

@@ -35,7 +35,7 @@ from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale, millimetres
 from calib.core.robots.parameters import Origin, ResultUse, twist_of_edit
-from calib.core.robots.urdf.loop_mechanisms import BASE, Plan
+from calib.shared.plan import BASE, Plan
 
 TOWERS = ("a", "b", "c")
 ANGLES = (math.radians(210), math.radians(330), math.radians(90))

@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.registry import list_entry_points, load_named
+from calib.core.base.registry import list_entry_points, load_entry, load_named
 from calib.core.base.units import millimetres
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.fitting.fitted import Fit
@@ -30,7 +30,6 @@ from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
 from calib.core.numerics.statistics import find_factors, statistics
 from calib.core.robots.robot import Robot
-from calib.core.robots.templates import TEMPLATES, loop_files
 from calib.core.rows.simulate import simulate
 from calib.quality.protocol import Check, Phase, Work
 from calib.quality.references import PROBLEMS, ReferenceProblem, sample_robots
@@ -233,7 +232,7 @@ def _exit_codes() -> Iterator[Check]:
     """Run the program on wrong and on correct input, as a user does."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        urdf, description = loop_files("four_bar", TEMPLATES["four_bar"].lengths, "robot.urdf")
+        urdf, description = load_entry("calib.methods", "templates")["four_bar"].files("robot.urdf")
         files = {
             "robot.urdf": urdf,
             "right.yaml": description,

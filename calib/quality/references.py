@@ -18,11 +18,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.data.dh_files import read_dh
+from calib.core.base.registry import load_entry
 from calib.core.robots.loading import load, robot
 from calib.core.robots.robot import Robot
-from calib.core.robots.templates import TEMPLATES, loop_files
-from calib.core.robots.urdf.denavit_hartenberg import urdf_text
 
 Model = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
@@ -158,14 +156,14 @@ def _sample_robots(folder: Path) -> Iterator[tuple[str, Robot]]:
         stem = name.replace(" ", "_")
         table, urdf = folder / f"{stem}.csv", folder / f"{stem}.urdf"
         table.write_text("# convention: standard\n" + _HEAD + rows, encoding="utf-8")
-        urdf.write_text(urdf_text(read_dh(table), stem), encoding="utf-8")
+        urdf.write_text(load_entry("calib.methods", "urdf_of_table")(table), encoding="utf-8")
         tool = {"tool": {"frame": "flange", "xyz": ["30 mm", "20 mm", "50 mm"], "position": "unknown", "sigma": "2 mm"}}
         base = {"frame": "base_link", "pose": "unknown"}
         motors = [line.split(",")[0] for line in rows.splitlines()]
         yield name, robot(urdf, motors=motors, target=tool, base=base, sigma=NOISE)
-    for name, template in TEMPLATES.items():
+    for name, template in load_entry("calib.methods", "templates").items():
         urdf, description = folder / f"{name}.urdf", folder / f"{name}.yaml"
-        texts = loop_files(name, template.lengths, urdf.name)
+        texts = template.files(urdf.name)
         urdf.write_text(texts[0], encoding="utf-8")
         description.write_text(texts[1] + f"\nsigma: {NOISE}\n", encoding="utf-8")
         yield template.what, load(description)

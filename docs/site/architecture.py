@@ -1,8 +1,8 @@
 """The rooms of the core, the capabilities beside them, and the picture of both. A test holds them against the imports.
 
 A module of the core imports, also inside functions and for type checkers, only from its own room and from rooms of
-lower floors; a capability, from the core. What capabilities bring to the core stands in `calib/capabilities.py`, by
-name. No modules import each other in a circle.
+lower floors; a capability, from the core and from `shared`. What capabilities bring to the core stands in
+`calib/capabilities.py`, by name. No modules import each other in a circle.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[2]
-FRONT = ("calibration", "capabilities", "cli", "extend")
+FRONT = ("calibration", "capabilities", "checking", "cli", "extend")
 """Files above core and capabilities: what users hold, what capabilities bring, the program, what others import."""
 BESIDE = ("pictures",)
 """A file of the core on the top floor: who draws."""
@@ -66,10 +66,15 @@ CORE = (
     Room("Results", 9, ("core.results",)),
     Room("Commands", 10, ("core.commands", "core")),
 )
+SHARED = Room("Shared", None, ("shared",))
+"""Needed by several capabilities, and not by the core; so they import it."""
 CAPABILITIES = (
+    SHARED,
+    Room("Starting", None, ("starting",)),
     Room("Planning", None, ("planning",)),
     Room("Motion", None, ("motion",)),
     Room("Studies", None, ("studies",)),
+    Room("Compiled", None, ("compiled",)),
     Room("Fleets", None, ("fleets",)),
     Room("Matching", None, ("matching",)),
     Room("Programs", None, ("programs",)),

@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 
 import calib
 from calib.core.base.units import DISPLAY_UNIT, PER_SI
-from calib.core.data.dh_files import read_dh
 from calib.core.data.measurements import Poses
 from calib.core.data.parameter_files import format_parameters
 from calib.core.data.table_writing import format_table
-from calib.core.robots.templates import loop_files, read_lengths
-from calib.core.robots.urdf.denavit_hartenberg import urdf_text
+from calib.starting.dh_tables import urdf_of_table
+from calib.starting.templates import TEMPLATES as MECHANISMS
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 Array = NDArray[np.float64]
@@ -82,7 +81,7 @@ def ur10e() -> dict[str, str]:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "ur10e.yaml"
         path.write_text(UR)
-        path.with_suffix(".urdf").write_text(urdf_text(read_dh(EXAMPLES / "ur10e_dh.csv"), "ur10e"))
+        path.with_suffix(".urdf").write_text(urdf_of_table(EXAMPLES / "ur10e_dh.csv"))
         robot = calib.load(path)
     rng = np.random.default_rng(UR_SEED)
     low, high = np.degrees(robot.joint_limits).T
@@ -161,9 +160,7 @@ def five_bar() -> dict[str, str]:
 
 def from_template(name: str) -> dict[str, str]:
     """Return the files of a robot with loops: its URDF, its description, and its measurements."""
-    texts = dict(
-        zip((f"{name}.urdf", f"{name}.yaml"), loop_files(name, read_lengths(name, ()), f"{name}.urdf"), strict=True)
-    )
+    texts = dict(zip((f"{name}.urdf", f"{name}.yaml"), MECHANISMS[name].files(f"{name}.urdf"), strict=True))
     with TemporaryDirectory() as folder:
         for file, text in texts.items():
             (Path(folder) / file).write_text(text)

@@ -31,9 +31,9 @@ from verdict_lab import open_lab
 
 import calib
 from calib.core.base.errors import CalibrationError
-from calib.core.commands.init import command
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
+from calib.starting.command import command
 
 Array = NDArray[np.float64]
 ROBOTS = ("arm", "five-bar", "UR10e", "MedRUE")

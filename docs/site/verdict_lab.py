@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import calib
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
-from calib.core.robots.templates import TEMPLATES, loop_files
+from calib.starting.templates import TEMPLATES
 from medrue import robot_file
 from medrue.workspace import target_workspace
 
@@ -218,8 +218,7 @@ def _nominal(robot: str, measured: str) -> calib.Robot:
         return calib.load(robot_file())
     folder = Path(mkdtemp(prefix="verdict_"))
     if robot == "3-RRR":
-        template = TEMPLATES["3rrr"]
-        urdf, text = loop_files("3rrr", template.lengths, "robot.urdf")
+        urdf, text = TEMPLATES["3rrr"].files("robot.urdf")
         text = text.replace("# sigma: 0.04 mm", "sigma: 0.02 mm")
     else:
         urdf, text = ((EXAMPLES / f"arm.{end}").read_text(encoding="utf-8") for end in ("urdf", "yaml"))

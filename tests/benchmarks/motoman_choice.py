@@ -15,9 +15,9 @@ import numpy as np
 import calib
 from calib.core.base.threads import one_blas_thread
 from calib.core.numerics.observability import information
-from calib.core.rows.candidates import rows_of_poses
 from calib.core.rows.unknowns import Unknowns
 from calib.planning.selection import select
+from calib.shared.candidates import rows_of_poses
 from tests.public_data import motoman
 
 COUNT = 53

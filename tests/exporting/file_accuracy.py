@@ -21,10 +21,10 @@ import calib
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import formats
 from calib.core.robots.robot_files import urdf_of_origins, without_terms
-from tests.core.robots.urdf.test_denavit_hartenberg import flange_poses
 from tests.exporting.read_back import held_out, in_file, tip_of, urdf_links
 from tests.project import EXAMPLES
 from tests.public_data import added, markdown, motoman, ur10_tracker, written
+from tests.starting.test_denavit_hartenberg import flange_poses
 
 ENDINGS = {
     "urdf": ".urdf",

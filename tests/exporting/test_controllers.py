@@ -14,14 +14,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.core.commands.init import command as init
 from calib.core.robots.file_formats import formats
 from calib.exporting.command import command
 from calib.exporting.controllers import dh_file, joint_offsets, ur_kinematics, xacro_origins
+from calib.starting.command import command as init
 from medrue.paper_tables import table1
-from tests.core.robots.urdf.test_denavit_hartenberg import flange_poses
 from tests.project import EXAMPLES, ROOT, SHARED
 from tests.small_robots import ARM_URDF, ARM_YAML, write_arm
+from tests.starting.test_denavit_hartenberg import flange_poses
 from tests.urdf_trees import urdf_of
 
 ARM = EXAMPLES / "arm.yaml"

@@ -13,12 +13,13 @@ import trimesh
 
 import calib
 from calib.core.base.errors import InputError, UrdfError
-from calib.core.robots.urdf.links import find_mesh, possible_inertia, read_links
+from calib.core.robots.urdf.meshes import find_mesh
 from calib.core.robots.urdf.text import parse_urdf
-from calib.exporting.closed_model import closed_model
+from calib.exporting.closed_model import closed_model, possible_inertia
 from calib.exporting.drake import drake_bytes
 from calib.exporting.formats import export
 from calib.exporting.mjcf import mjcf
+from calib.shared.links import read_links
 
 ARM = """<?xml version="1.0"{encoding}?>
 <robot name="{name}" xmlns:xacro="x">

@@ -14,11 +14,11 @@ import pytest
 from click.testing import CliRunner
 
 import calib
-from calib.core.commands.init import command as init
 from calib.core.data.measurements import Poses
 from calib.core.robots.urdf.arm_chain import arm_chain
 from calib.core.robots.urdf.text import read_urdf
 from calib.exporting.formats import export
+from calib.starting.command import command as init
 
 ARMS = {  # file below robots/: link that carries the measured point
     "asr_twodof_description/urdf/TwoDofs.urdf": "Tip",

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import calib
-from calib.core.robots.urdf.ur_kinematics import nominal_origins, ur_urdf
+from calib.fleets.ur_kinematics import nominal_origins, ur_urdf
 from tests.matching.test_match import joint_values, poses, ur_pairs
 
 EXACT, PRINTED = (6, 2, 3), (3, 2, 3)  # decimals of joints [rad], positions [mm], rotations [rad]

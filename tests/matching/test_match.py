@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.core.base.errors import DataError
-from calib.core.robots.urdf.ur_kinematics import JOINTS, KEYS, LINKS, nominal_origins, ur_urdf
+from calib.fleets.ur_kinematics import nominal_origins, ur_urdf
 from calib.matching.agreement import hypotheses
 from calib.matching.pairs import read_pairs
 from calib.matching.readings import candidates
+from calib.shared.ur_calibration import JOINTS, KEYS, LINKS
 
 STEP = 1e-3, 1e-5  # of a pendant: 0.001 rad, 0.01 mm
 

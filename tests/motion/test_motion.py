@@ -16,12 +16,12 @@ import calib
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.data.in_memory import as_poses
 from calib.core.data.measurement_files import read_poses
-from calib.core.robots.pose_check import check_poses
-from calib.motion.moves import check_move
+from calib.motion.planner import check_move
 from calib.motion.poses import surroundings
 from calib.motion.programs import LANGUAGES, Motion, write_program
 from calib.motion.route import plan_route
 from calib.programs.languages.languages import read_program
+from calib.shared.pose_check import check_poses
 from tests.six_axis_arm import FREE, URDF, YAML
 
 mujoco = pytest.importorskip("mujoco", reason="extra 'mujoco'")

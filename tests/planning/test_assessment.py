@@ -7,7 +7,6 @@ import pytest
 
 import calib
 from calib.core.data.in_memory import as_poses
-from calib.core.numerics.null_space import describe_group
 from calib.core.numerics.observability import raw_columns
 from calib.core.robots.jacobian import linearise
 from calib.core.rows.prediction import without_common_motion
@@ -15,6 +14,7 @@ from calib.planning.assessment import accuracy_by_count, check
 from calib.planning.assessment_text import text_report
 from calib.planning.pose_sampling import sample
 from calib.planning.selection_text import text_report as told
+from calib.shared.null_space import describe_group
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
 from tests.six_axis_arm import YAML, joints, write_six_axis

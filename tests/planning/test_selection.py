@@ -10,9 +10,9 @@ from calib.core.base.errors import InputError
 from calib.core.data.measurements import Poses
 from calib.core.numerics.observability import observability, raw_columns
 from calib.core.robots.jacobian import linearise
-from calib.core.rows.candidates import build_candidates
 from calib.planning.instrument_choice import groups_of, pairs_of
 from calib.planning.selection import select
+from calib.shared.candidates import build_candidates
 from medrue.workspace import target_workspace
 from tests.small_robots import small_arm, write_arm
 
@@ -251,7 +251,7 @@ def test_what_has_no_room_says_where_it_would_have_been(medrue, monkeypatch):
 
 def test_rows_of_positions_in_parts_say_what_all_say(medrue, monkeypatch):
     whole = select(medrue, Q[::4], 30, "task")
-    monkeypatch.setattr("calib.core.rows.candidates._PART", 20)
+    monkeypatch.setattr("calib.shared.candidates._PART", 20)
     monkeypatch.setattr("calib.core.numerics.identifiability._AT_ONCE", 50)
     parts = select(medrue, Q[::4], 30, "task")
     assert parts.before == pytest.approx(whole.before, rel=1e-9)

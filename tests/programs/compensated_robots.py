@@ -35,9 +35,9 @@ from calib.core.base.errors import CalibrationError
 from calib.core.data.in_memory import as_measurements, as_poses
 from calib.core.judging.acceptance import verify, visible_changes
 from calib.core.judging.promise import Promise
-from calib.core.robots.templates import TEMPLATES, loop_files
 from calib.programs.languages.correction_grid import correction_grid
 from calib.programs.languages.straight_moves import StraightMoves, compensate_moves
+from calib.starting.templates import TEMPLATES
 from medrue import robot_file
 from medrue.paper_tables import table1
 from tests.project import EXAMPLES
@@ -75,7 +75,7 @@ def described(name, folder, places, stated=False):
         text = (EXAMPLES / "arm.yaml").read_text().replace("urdf: arm.urdf", f"urdf: {EXAMPLES / 'arm.urdf'}")
     else:
         template = name.removeprefix("rail_and_")
-        urdf, text = loop_files(template, TEMPLATES[template].lengths, f"{name}.urdf")
+        urdf, text = TEMPLATES[template].files(f"{name}.urdf")
         if name != template:
             urdf = urdf.replace("</robot>", RAIL)
             text = text.replace("name_mot: [", "name_mot: [rail, ").replace("{frame: base,", "{frame: floor,")

@@ -10,22 +10,22 @@ import pytest
 from click.testing import CliRunner
 
 import calib
+from calib.core.robots.closure import motion
 from calib.core.rows.frames import nearest_to_nominal, program_frame
 from calib.core.rows.known_robot import known_robot
 from calib.core.rows.prediction import PositionUncertainty
 from calib.programs.commands.compensate import command
 from calib.programs.reaching.compensation import compensate
 from calib.programs.reaching.inverse import solve
-from calib.programs.reaching.reaching import actuated_jacobian
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
-from tests.core.robots.urdf.test_denavit_hartenberg import robot_of, write_dh_table
 from tests.programs.compensated_robots import TrueFrame, poses_of
 from tests.project import EXAMPLES, write_table
 from tests.saved_results import with_verdict
 from tests.six_axis_arm import write_six_axis
+from tests.starting.test_denavit_hartenberg import robot_of, write_dh_table
 
 SCARA = """<robot name="scara"><link name="l0"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="hand"/>
 <joint name="a" type="revolute"><parent link="l0"/><child link="l1"/><origin xyz="0 0 0.3"/><axis xyz="0 0 1"/>
@@ -186,7 +186,7 @@ def test_joint_terms_limits_and_full_poses_are_kept(tmp_path):
     ).conditions  # it is approached as the program is
     did = truth.assemble(compensation.q, context=context)
     chain = truth.mechanism.targets[0]
-    position, rotation, _ = actuated_jacobian(truth.mechanism, chain, did.actuated, did.passive)
+    position, rotation, *_ = motion(truth.mechanism, chain, did.actuated, did.passive)
     meant = nominal.forward(program)  # of the target's link l6 or the target itself: positions are compared below
     assert np.abs(position - nominal.positions(program)[:, 0]).max() < 1e-9
     assert np.abs(rotation - meant[:, :3, :3]).max() < 1e-8

@@ -11,10 +11,10 @@ import pytest
 from click.testing import CliRunner
 
 import calib
-from calib.core.commands.init import command as init
 from calib.programs.commands.compensate import command
 from calib.programs.languages.gcode import read_gcode
 from calib.programs.languages.straight_moves import StraightMoves, compensate_moves
+from calib.starting.command import command as init
 from tests.programs.test_correction_grid import GANTRY
 from tests.project import EXAMPLES
 

@@ -13,11 +13,11 @@ from scipy.optimize import minimize
 from calib import UnreachablePoseError, compensate, load
 from calib.core.base.errors import DataError
 from calib.core.data.measurement_files import read_poses
+from calib.core.robots.closure import motion
 from calib.core.robots.robot import Robot
 from calib.programs.commands.solve import command
 from calib.programs.reaching.goals import Goals, read_goals
 from calib.programs.reaching.inverse import solve
-from calib.programs.reaching.reaching import actuated_jacobian
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.closed_form_inverse import inverse
@@ -83,7 +83,7 @@ def test_jacobian_of_the_actuated_joints_agrees_with_differences_of_the_closed_f
     q = target_workspace().q[::60]
     passive = medrue_robot.assemble(q).passive
     target = medrue_robot.mechanism.targets[0]
-    position, rotation, jacobian = actuated_jacobian(medrue_robot.mechanism, target, q, passive)
+    position, rotation, jacobian, _ = motion(medrue_robot.mechanism, target, q, passive)
     here = forward(q, table1().nominal)
     assert np.abs(position - here.p_world_tool).max() < 1e-12
     assert np.abs(rotation - here.R_world_tool).max() < 1e-12

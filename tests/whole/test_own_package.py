@@ -23,12 +23,12 @@ from calib.core.instruments.kind import View
 from calib.core.instruments.kinds import KINDS
 from calib.core.judging.verdict import judge
 from calib.core.robots.accuracy_of_files import Holds
-from calib.core.robots.description import schema_text
 from calib.core.robots.file_formats import formats_that_hold
 from calib.core.robots.terms.term import Context, Joint, JointTerm
 from calib.core.robots.terms.terms import TERMS, parse_terms
 from calib.extend import check_kind, check_term
 from calib.planning.pose_sampling import visible_poses
+from calib.starting.descriptions import schema_text
 from tests.project import EXAMPLES, ROOT
 from tests.small_robots import write_arm
 from viz.scene import other_errors

@@ -62,6 +62,11 @@ def read_text(path: Path | str, expected: str, error: type[CalibrationError], *,
         raise error(f"{path}: is not UTF-8 text; give {expected} in UTF-8") from None
 
 
+def folders_in_variable(name: str) -> list[str]:
+    """Return the folders that an environment variable names."""
+    return [entry for entry in os.environ.get(name, "").split(os.pathsep) if entry]
+
+
 def image_address(path: Path | str) -> str:
     """Return a PNG, JPEG or SVG image as an address that holds it, for a page that loads nothing else.
 

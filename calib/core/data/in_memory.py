@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, require_known
 from calib.core.base.letters import unseen
-from calib.core.data.joining import join_measurements
-from calib.core.data.measurement_files import read_measurements, sources
+from calib.core.data.measurement_files import join_measurements, read_measurements, sources
 from calib.core.data.measurements import Measurements, Poses, check_repeats, measurements, states_by_order
 from calib.core.data.plan_files import read_pose_files
 from calib.core.data.tables import Source, is_source

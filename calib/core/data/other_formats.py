@@ -17,6 +17,7 @@ from calib.core.base.files import read_bytes
 from calib.core.base.registry import load_group
 from calib.core.base.words import warn_once
 
+_BAGS = (".mcap", ".db3")
 _HEAD = 1 << 16  # bytes by which a format is recognised
 _ASCII = 0.7  # least part of ASCII characters in the head of a text file
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -85,6 +86,17 @@ class OtherFormat:
 def other_formats() -> list[OtherFormat]:
     """Return the formats, in the order in which they are tried."""
     return [each for _, given in load_group("calib.readers", "reader of files") for each in given]
+
+
+def is_bag(path: Path | str) -> bool:
+    """Return whether a path is a ROS 2 bag: a folder with `metadata.yaml`, or a file `.mcap` or `.db3`.
+
+    The entry point `bags` of the group `calib.methods` is the module that reads them.
+    """
+    try:
+        return Path(path).suffix in _BAGS or (Path(path) / "metadata.yaml").is_file()
+    except OSError:  # reading the file will raise the error
+        return False
 
 
 def read_other(path: Path | str, renamed: Mapping[str, str]) -> list[str] | dict[str, Sequence[object]] | None:

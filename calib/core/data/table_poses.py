@@ -50,7 +50,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
 
 def _check_gravity(poses: Poses, robot: Robot, table: Table) -> None:
     """Raise `DataError` where sensors read another direction of gravity than the description states."""
-    angles = contradiction_angles(robot.description, robot.nominal, poses.joints, poses.conditions)
+    angles = contradiction_angles(robot, poses.joints, poses.conditions)
     if not np.all(np.isnan(angles)):
         k = int(np.nanargmax(angles))
         off = quantity_text(angles[k], "angle", ".0f", DISPLAY_UNIT)

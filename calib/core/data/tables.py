@@ -23,6 +23,7 @@ from calib.core.base.errors import DataError, nearest_column
 from calib.core.base.files import read_text
 from calib.core.base.letters import unseen, visible
 from calib.core.base.own_files import is_mark
+from calib.core.base.registry import load_entry
 from calib.core.base.units import Dimension, MappedColumn, mapped_column, per_si, split_column
 from calib.core.base.words import warn_once
 from calib.core.data.layouts import (
@@ -36,8 +37,7 @@ from calib.core.data.layouts import (
     units_below,
     workbook_lines,
 )
-from calib.core.data.other_formats import read_other
-from calib.core.data.rosbag import is_bag, read_bag
+from calib.core.data.other_formats import is_bag, read_other
 from calib.core.data.table_writing import text_of
 
 _LARGEST = {"length": 1e6, "angle": 1e6, "pixel": 1e6}  # [SI]
@@ -250,7 +250,8 @@ def read_table(
         return _table_of_columns(IN_MEMORY, columns, (), renamed or {})
     path = cast("Path | str", path)
     if is_bag(path):
-        return _table_of_columns(str(path), *read_bag(path), renamed or {})
+        columns, remarks = load_entry("calib.methods", "bags").read_bag(path)
+        return _table_of_columns(str(path), columns, remarks, renamed or {})
     other = None if growing is not None or is_workbook(path) else read_other(path, renamed or {})
     if isinstance(other, dict):
         return _table_of_columns(str(path), list(other.items()), (), renamed or {})

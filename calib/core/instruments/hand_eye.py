@@ -34,7 +34,7 @@ def solve_rotations(
 
     `first` and `second` are C and M, where they are known.
     """
-    form = np.einsum("...kad,...kbc->...abdc", links, seen).reshape(*links.shape[:-3], 9, 9)
+    form = rotation_form(links, seen)
     if first is not None:
         return first, _best_rotation(np.swapaxes(form, -1, -2), first) if second is None else second
     if second is not None:
@@ -57,6 +57,11 @@ def solve_rotations(
     return np.where(better, first[..., 1, :, :], first[..., 0, :, :]), np.where(
         better, second[..., 1, :, :], second[..., 0, :, :]
     )
+
+
+def rotation_form(links: FloatArray, seen: FloatArray) -> FloatArray:
+    """Return the bilinear form of C and M, (..., 9, 9), of L_i and A_i, (..., n, 3, 3)."""
+    return np.einsum("...kad,...kbc->...abdc", links, seen).reshape(*links.shape[:-3], 9, 9)
 
 
 def _times(form: FloatArray, rotation: FloatArray) -> FloatArray:

@@ -287,14 +287,11 @@ def _gain_errors(fit: Fit) -> tuple[FloatArray, FloatArray]:
     robot, q = fit.robot, fit.identification.data.joints
     slopes = np.zeros((len(robot.joint_names), len(robot.parameters)))
     columns = columns_of_terms(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
-    start = robot.coefficients.start
-    for term, phi in zip(robot.terms, columns, strict=True):
-        stop = start + len(term.parameters)
+    for (term, own), phi in zip(robot.terms_with_places(), columns, strict=True):
         if term.adds and not term.depends_on:
             for moved, j in enumerate(driven_by(term, robot.mechanism)):
                 from_middle = q[:, j] - np.mean(q[:, j])
-                slopes[j, start:stop] += from_middle @ phi[:, moved] / max(float(from_middle @ from_middle), EXACT)
-        start = stop
+                slopes[j, own] += from_middle @ phi[:, moved] / max(float(from_middle @ from_middle), EXACT)
     of_free = slopes[:, fit.unknowns.index]
     variances = np.einsum("ij,jk,ik->i", of_free, fit.covariance.values, of_free)
     return slopes @ robot.values, np.sqrt(np.maximum(variances, 0.0))

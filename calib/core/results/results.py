@@ -40,7 +40,7 @@ from calib.core.results.urdf import urdf_bytes
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.description import description_yaml
 from calib.core.robots.file_formats import loses, remarks_on_file, robot_for
-from calib.core.robots.urdf.links import find_mesh
+from calib.core.robots.urdf.meshes import find_mesh
 from calib.core.robots.urdf.text import UrdfText, apply_edits
 from calib.core.rows.rows import Rows
 

@@ -1,9 +1,10 @@
-"""The choice between compiled code (`calib.core.robots.kernels`) and Python for kinematics.
+"""The choice between compiled code and Python for kinematics.
 
 Compiled code needs numba (the extra `fast`), which takes half a second to load, more than most fits take, and about
 five to compile, once for each version. So compiled code is used only on request by `compile_kinematics()`, or if the
 number of poses pays for it: for loading what an earlier program has compiled, or else for compiling as well. Everything
-works without it, with the same numbers to 1e-12.
+works without it, with the same numbers to 1e-12. The code is that of `calib.compiled`, found by the entry point
+`compiled_kinematics` of the group `calib.methods`.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from functools import cache
-from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
+from calib.core.base.registry import load_entry
 from calib.core.base.words import warn_once
 from calib.core.robots.mechanism import Mechanism
 
@@ -78,5 +79,6 @@ def _tell_compiling() -> None:
         warn_once("numba compiles the kinematics; this takes about 5 s, once for each version")
 
 
+@cache
 def _functions() -> Any:
-    return import_module("calib.core.robots.kernels")
+    return load_entry("calib.methods", "compiled_kinematics")

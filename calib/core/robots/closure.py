@@ -60,23 +60,6 @@ def residual(
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
 
 
-def actuated_jacobian(
-    mechanism: Mechanism, target: RelativeFrame, actuated: FloatArray, passive: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pose of a target in the measurement frame and how the actuated joints move it, through the loops.
-
-    Args:
-        target: The target seen from the measurement frame.
-        actuated: Actuated joints, (n, n_actuated) [m or rad].
-        passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
-
-    Returns:
-        Position (n, 3) [m], rotation (n, 3, 3), and Jacobian (n, 6, n_actuated): [velocity of the point; angular
-        velocity] in the axes of the measurement frame, per joint rate.
-    """
-    return motion(mechanism, target, actuated, passive)[:3]
-
-
 def motion(
     mechanism: Mechanism,
     target: RelativeFrame,
@@ -84,7 +67,18 @@ def motion(
     passive: FloatArray,
     closures: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Values of `actuated_jacobian`, and dp/da (n, n_passive, n_actuated); `closures` is [C_p C_a], where known."""
+    """Return the pose of a target in the measurement frame and how the actuated joints move it, through the loops.
+
+    Args:
+        target: The target seen from the measurement frame.
+        actuated: Actuated joints, (n, n_actuated) [m or rad].
+        passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
+        closures: [C_p C_a], (n, n_rows, n_passive + n_actuated), where it is known.
+
+    Returns:
+        Position (n, 3) [m], rotation (n, 3, 3), Jacobian (n, 6, n_actuated): [velocity of the point; angular velocity]
+        in the axes of the measurement frame, per joint rate; and dp/da (n, n_passive, n_actuated).
+    """
     swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
     mapping = kinematics.motion_map(swept, kinematics.motion_rows(swept, (target,), angular=True))
 

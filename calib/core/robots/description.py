@@ -7,7 +7,6 @@ of Pinocchio's toolbox-parallel-robots. Lengths and angles are SI, or text with 
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -230,13 +229,6 @@ def read_description(path: Path | str) -> Description:
     if in_comments is None:
         return description
     return description.model_copy(update={"tolerance": min(in_comments, description.tolerance or in_comments)})
-
-
-def schema_text() -> str:
-    """Return the JSON schema of robot descriptions, for editors, made of the same classes that read them."""
-    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **Description.model_json_schema()}
-    text = json.dumps(schema, indent=1) + "\n"
-    return text.replace('"oneOf":', '"anyOf":')  # entries of several kinds are told apart by a key that all have
 
 
 def validate_description(content: Mapping[str, Any], where: Path | str) -> Description:

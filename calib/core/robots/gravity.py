@@ -17,15 +17,16 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib.core.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DescriptionError, nearest, require_known
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import Dimension
 from calib.core.numerics import linalg
-from calib.core.robots import kinematics
+from calib.core.robots import kinematics, loops
 from calib.core.robots.closure import residual
 from calib.core.robots.description import Description
 from calib.core.robots.mechanism import Mechanism, RelativeFrame
+from calib.core.robots.robot_data import RobotData
 from calib.core.robots.terms.gravity import STANDARD, GravitySection, InclinometerSection
 from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm
 from calib.core.robots.urdf.text import UrdfText
@@ -121,8 +122,7 @@ def turned_joints(
     data, columns = model.createData(), [mechanism.actuated.index(name) for name in section.joints]
     places = [mechanism.origin_names.index(name) for name in section.joints]
     result = np.full((len(q), 2), np.nan)
-    joints = mechanism.all_joints(mechanism.without_tilts(q), np.zeros((len(q), len(mechanism.passive))))
-    for k, row in enumerate(joints):
+    for k, row in enumerate(_open_joints(mechanism, q)):
         value = q[k, columns]
         for _ in range(_ROUNDS):
             row = row + mechanism.select_actuated[:, columns] @ (value - row[places])
@@ -141,40 +141,37 @@ def turned_joints(
     return result
 
 
-def accelerations(
-    section: GravitySection | None,
-    setups: tuple[str, ...],
-    mechanism: Mechanism,
-    joints: FloatArray,
-    context: Context,
-    turns: FloatArray,
-) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-    """Return the acceleration by gravity at each visit in the root link's axes, and its derivative by each turn.
+def accelerations(robot: RobotData, joints: FloatArray, context: Context) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+    """Return the acceleration by gravity at each visit in the root link's axes, and its derivative by each found turn.
 
     Args:
-        mechanism: The nominal mechanism.
-        joints: All joints, (n, n_joints) [m or rad].
+        joints: All joints of the nominal robot, (n, n_joints) [m or rad].
         context: Readings of sensors, and their setups.
-        turns: Found turns of gravity, (2,) [rad], or none, (0,).
 
     Returns:
         (n, 3) [m/s^2], and as many for each turn [m/s^2 per rad].
     """
-    section = GravitySection() if section is None else section
-    down = _stated_direction(section, setups, len(joints), context)
+    section = robot.description.gravity or GravitySection()
+    down = _stated_direction(section, robot.description, len(joints), context)
     if context.down is not None:
-        read = _measured_direction(section, mechanism, joints, context.down)
+        read = _measured_direction(section, robot.nominal, joints, context.down)
         down = np.where(np.isnan(read), down, read)
-    if len(turns) == 0:
+    if not robot.turns_gravity:
         return STANDARD * down, ()
+    turns = robot.values[robot.coefficients][-2:]
     (first, of_first), (second, of_second) = (_turn(k, t) for k, t in zip(section.axes, turns, strict=True))
     turned = STANDARD * down @ second.T
     return turned @ first.T, (turned @ of_first.T, STANDARD * down @ of_second.T @ first.T)
 
 
-def _stated_direction(section: GravitySection, setups: tuple[str, ...], n: int, context: Context) -> FloatArray:
+def _stated_direction(section: GravitySection, description: Description, n: int, context: Context) -> FloatArray:
     """The direction at each of n visits as a description says it, (n, 3)."""
-    return section.stated_directions(setups)[np.zeros(n, dtype=np.intp) if context.setups is None else context.setups]
+    return section.stated_directions(tuple(description.setups))[_setups(n, context)]
+
+
+def _setups(n: int, context: Context) -> IntArray:
+    """Number of the setup of each of n visits, (n,)."""
+    return np.zeros(n, dtype=np.intp) if context.setups is None else context.setups
 
 
 def _measured_direction(
@@ -188,30 +185,31 @@ def _measured_direction(
     return np.asarray(np.einsum("nab,nb->na", rotation, down))
 
 
-def contradiction_angles(description: Description, mechanism: Mechanism, q: FloatArray, context: Context) -> FloatArray:
-    """Return the angle between read and stated gravity, (n,) [rad], at joints q (n, n_actuated) of the nominal
-    mechanism.
+def contradiction_angles(robot: RobotData, q: FloatArray, context: Context) -> FloatArray:
+    """Return the angle between read and stated gravity, (n,) [rad], at joints q (n, n_actuated) of the nominal robot.
 
     NaN where it is not too large, and where the sensor's link is in a loop.
     """
-    section, result = description.gravity, np.full(len(q), np.nan)
+    description, mechanism, nothing = robot.description, robot.nominal, np.full(len(q), np.nan)
+    section = description.gravity
     if section is None or context.down is None:
-        return result
+        return nothing
     if section.frame is not None and np.any(
         mechanism.support[mechanism.frames[section.frame]] @ mechanism.select_passive
     ):
-        return result
-    setups = tuple(description.setups)
-    stated = np.array(["down" in section.model_fields_set or name in section.setups for name in setups or ("",)])
-    joints = mechanism.all_joints(mechanism.without_tilts(q), np.zeros((len(q), len(mechanism.passive))))
-    cosine = np.sum(
-        _measured_direction(section, mechanism, joints, context.down)
-        * _stated_direction(section, setups, len(q), context),
-        axis=1,
-    )
+        return nothing
+    names = tuple(description.setups) or ("",)
+    stated = np.array(["down" in section.model_fields_set or name in section.setups for name in names])
+    read = _measured_direction(section, mechanism, _open_joints(mechanism, q), context.down)
+    cosine = np.sum(read * _stated_direction(section, description, len(q), context), axis=1)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-    known = stated[np.zeros(len(q), dtype=np.intp) if context.setups is None else context.setups]
-    return np.where(known & (angle > max(_CONTRADICTS, 3.0 * (section.sigma or 0.0))), angle, result)
+    known = stated[_setups(len(q), context)]
+    return np.where(known & (angle > max(_CONTRADICTS, 3.0 * (section.sigma or 0.0))), angle, nothing)
+
+
+def _open_joints(mechanism: Mechanism, q: FloatArray) -> FloatArray:
+    """All joints at commands q (n, n_actuated), passive ones at zero, (n, n_joints) [m or rad]."""
+    return mechanism.all_joints(mechanism.without_tilts(q), np.zeros((len(q), len(mechanism.passive))))
 
 
 def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:
@@ -221,79 +219,69 @@ def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:
     return rotation, cross @ rotation
 
 
-def turn_columns(
-    terms: tuple[JointTerm, ...],
-    mechanism: Mechanism,
-    q: FloatArray,
-    context: Context,
-    slopes: tuple[FloatArray, ...],
-    values: FloatArray,
-) -> FloatArray:
+def turn_columns(robot: RobotData, q: FloatArray, context: Context, slopes: tuple[FloatArray, ...]) -> FloatArray:
     """Return the derivative of the errors of the joints that give way by the turns, (n, n_giving_way, n_turns).
 
     The turns are the last of the terms; `slopes` are derivatives of the torque by each, (n, n_driven).
     """
-    moved = terms[-1].driven_joint_names(mechanism.dimensions)
-    result, start = np.zeros((len(q), len(moved), len(slopes))), 0
-    for term in terms:
-        coefficients = values[start : (start := start + len(term.parameters))]
-        if not term.needs_torque:
-            continue
-        for name in term.driven_joint_names(mechanism.dimensions):
+    mechanism = robot.mechanism
+    moved = robot.terms[-1].driven_joint_names(mechanism.dimensions)
+    result = np.zeros((len(q), len(moved), len(slopes)))
+    for term, coefficients in robot.term_values():
+        for name in term.driven_joint_names(mechanism.dimensions) if term.needs_torque else ():
             for k, slope in enumerate(slopes):
                 j = mechanism.driven.index(name)
                 result[:, moved.index(name), k] += term.torque_derivative(q, j, context, slope) @ coefficients
     return result
 
 
-def gravity_torque(
-    urdf: UrdfText,
-    mechanism: Mechanism,
-    q: FloatArray,
-    passive: FloatArray,
-    slope: FloatArray,
-    load: FloatArray,
-    payload: str | None,
-    acceleration: FloatArray,
-    where: str,
-) -> FloatArray:
-    """Return the torque of gravity that each driven joint holds, loops closed, (n, n_driven) [N m or N].
+def gravity_torques(robot: RobotData, q: FloatArray, context: Context) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+    """Return the torque of gravity that each driven joint holds, loops closed, and its derivative by each found turn.
 
-    With the generalized gravity g of the tree, of its masses and of the payload m at the point x, and dp/da of the
-    passive joints, virtual work gives
+    With the generalized gravity g of the nominal tree, of its masses and of the payload m at the point x, and dp/da of
+    the passive joints, virtual work gives
 
         tau_a = E_a^T g + (dp/da)^T E_p^T g,      g = g(masses) - m J_x^T gravity,      dp/da = -C_p^-1 C_a
 
+    Where loops do not close, passive joints stand at 0.
+
     Args:
-        mechanism: The nominal mechanism.
-        q, passive: Driven joints (n, n_driven), and passive joints there (n, n_passive).
-        slope: C_p there, (n, n_passive, n_passive).
-        load: Mass of the payload, (n,) [kg].
-        payload: Frame at whose origin it hangs; None: that of the first target that motors move.
-        acceleration: Acceleration of gravity in the root link's axes, (n, 3) [m/s^2].
+        q: Commands, (n, n_actuated) [m or rad].
+        context: Their conditions.
+
+    Returns:
+        (n, n_driven) [N m or N], and as many for each turn [per rad].
 
     Raises:
         DescriptionError: The URDF has no masses, and it is not stated that a payload alone loads the joints.
     """
-    joints = mechanism.all_joints(q, passive)
-    gravity = np.zeros_like(joints)
-    masses = with_masses(urdf, mechanism)
-    if masses is not None:
-        gravity += _gravity(masses, joints, acceleration)
-    elif payload is None:
+    mechanism, payload = robot.nominal, robot.description.payload
+    driven = mechanism.without_tilts(q)
+    closed = loops.close(mechanism, robot.mode, driven)
+    passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
+    joints, masses = mechanism.all_joints(driven, passive), with_masses(robot.urdf, mechanism)
+    if masses is None and payload is None:
         raise DescriptionError(
-            f"{where}: bending by gravity needs masses, and the URDF has none; add <inertial> to its"
+            f"{robot.path}: bending by gravity needs masses, and the URDF has none; add <inertial> to its"
             " links, or say with `payload` which frame carries the masses of a column 'load', or leave the term out"
         )
-    if np.any(load):
-        kilogram = mechanism.model.copy()  # without any other mass
-        kilogram.inertias[payload_frame(mechanism, payload)] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
-        gravity += load[:, None] * _gravity(kilogram, joints, acceleration)
-    torque: FloatArray = gravity @ mechanism.select_actuated
+    kilogram = mechanism.model.copy()  # without any other mass
+    kilogram.inertias[payload_frame(mechanism, payload)] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+    rate = None
     if mechanism.loops and len(q):
-        rate = -np.linalg.solve(slope, residual(mechanism, q, passive)[2])
-        torque = torque + np.einsum("npa,np->na", rate, gravity @ mechanism.select_passive)
-    return torque
+        assert closed.slope is not None  # as no seed was given, `close` has computed it
+        slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
+        rate = -np.linalg.solve(slope, residual(mechanism, driven, passive)[2])
+
+    def torque(acceleration: FloatArray) -> FloatArray:
+        gravity = np.zeros_like(joints) if masses is None else _gravity(masses, joints, acceleration)
+        if np.any(context.load):
+            gravity += context.load[:, None] * _gravity(kilogram, joints, acceleration)
+        held: FloatArray = gravity @ mechanism.select_actuated
+        return held if rate is None else held + np.einsum("npa,np->na", rate, gravity @ mechanism.select_passive)
+
+    acceleration, slopes = accelerations(robot, joints, context)
+    return torque(acceleration), tuple(map(torque, slopes))
 
 
 def _gravity(model: pin.Model, joints: FloatArray, acceleration: FloatArray) -> FloatArray:

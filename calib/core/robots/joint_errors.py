@@ -10,9 +10,8 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, InputError, require_known
 from calib.core.base.units import Dimension, quantity
-from calib.core.robots import loops
 from calib.core.robots.description import Description
-from calib.core.robots.gravity import accelerations, check_gravity, gravity_torque, gravity_turn, turn_columns
+from calib.core.robots.gravity import check_gravity, gravity_torques, gravity_turn, turn_columns
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.mechanism_builder import build_mechanism, tilted_joints
 from calib.core.robots.robot_data import RobotData, SomeRobot
@@ -86,19 +85,6 @@ def columns_of_terms(
     return tuple(columns)
 
 
-def joint_errors(
-    terms: tuple[JointTerm, ...], mechanism: Mechanism, columns: tuple[FloatArray, ...], values: FloatArray, n: int
-) -> FloatArray:
-    """Return dq of every driven joint, (n, n_driven), from the columns and the coefficients (n_coefficients,)."""
-    errors, start = np.zeros((n, len(mechanism.driven))), 0
-    for term, phi in zip(terms, columns, strict=True):
-        stop = start + len(term.parameters)
-        if term.adds:
-            errors[:, driven_by(term, mechanism)] += phi @ values[start:stop]
-        start = stop
-    return errors
-
-
 def with_terms(robot: SomeRobot, sections: Sequence[TermSection]) -> SomeRobot:
     """Return a robot with these joint terms in place of its own; see `Robot.with_terms`."""
     description = robot.description.with_terms(sections)
@@ -120,34 +106,20 @@ def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None
     context = Context.neutral(len(q), len(robot.joint_names)) if context is None else context
     if not any(term.needs_torque for term in robot.terms):
         return columns_of_terms(robot.terms, robot.mechanism, q, context)
-    driven = robot.nominal.without_tilts(q)
-    closed = loops.close(robot.nominal, robot.mode, driven)
-    passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
-    assert closed.slope is not None  # as no seed was given, `close` has computed it
-    slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
-    joints, description, load = robot.nominal.all_joints(driven, passive), robot.description, context.load
-    turns = robot.values[robot.coefficients][-2:] if robot.turns_gravity else np.zeros(0)
-    acceleration, slopes = accelerations(
-        description.gravity, tuple(description.setups), robot.nominal, joints, context, turns
-    )
-
-    def torque(of: FloatArray) -> FloatArray:
-        at = (robot.nominal, driven, passive, slope)
-        return gravity_torque(robot.urdf, *at, load, description.payload, of, robot.path)
-
-    context = replace(context, torque=torque(acceleration))
+    torque, slopes = gravity_torques(robot, q, context)
+    context = replace(context, torque=torque)
     columns = columns_of_terms(robot.terms, robot.mechanism, q, context)
-    if not slopes:
-        return columns
-    by_turn, values = tuple(torque(turn_slope) for turn_slope in slopes), robot.values[robot.coefficients]
-    return (*columns[:-1], turn_columns(robot.terms, robot.mechanism, q, context, by_turn, values))
+    return (*columns[:-1], turn_columns(robot, q, context, slopes)) if slopes else columns
 
 
 def actual_joints(robot: RobotData, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
     """Return the driven joints (n, n_driven) at commands q (n, n_actuated) [m or rad]; `columns`: phi of the terms."""
     if not robot.terms:
         return q
-    errors = joint_errors(robot.terms, robot.mechanism, columns, robot.values[robot.coefficients], len(q))
+    errors = np.zeros((len(q), len(robot.mechanism.driven)))
+    for (term, values), phi in zip(robot.term_values(), columns, strict=True):
+        if term.adds:
+            errors[:, driven_by(term, robot.mechanism)] += phi @ values
     return robot.mechanism.without_tilts(q) + errors
 
 

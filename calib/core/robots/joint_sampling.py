@@ -23,7 +23,7 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, InputError, require_known
 from calib.core.base.words import listing, warn_once
 from calib.core.numerics.halton import halton
-from calib.core.robots.closure import AssemblyMode, actuated_jacobian
+from calib.core.robots.closure import AssemblyMode, motion
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.urdf.text import UrdfText
 
@@ -43,17 +43,17 @@ _DIRECTIONS = np.array([0.083, 0.131, 0.179, 0.777, 1.139, 1.621])  # directions
 def joint_samples(mode: AssemblyMode, count: int) -> FloatArray:
     """Return points for the home of a nominal robot, (count, n_driven), from 0 to 1; the first is a corner."""
     mechanism = mode.mechanism
-    motion = np.zeros(len(mechanism.driven))
+    moved = np.zeros(len(mechanism.driven))
     for target in mechanism.targets:  # seen from the base's link, wherever the measurement frame is
         seen = replace(target, a=mechanism.model.parents[target.a])
-        jacobian = actuated_jacobian(mechanism, seen, mode.actuated[None], mode.passive[None])[2][0]
-        motion += _DIRECTIONS / np.repeat([mechanism.length, 1.0], 3) @ jacobian * mechanism.driven_scale
+        jacobian = motion(mechanism, seen, mode.actuated[None], mode.passive[None])[2][0]
+        moved += _DIRECTIONS / np.repeat([mechanism.length, 1.0], 3) @ jacobian * mechanism.driven_scale
     n_actuated = len(mechanism.actuated)
-    order = np.arange(len(motion))  # tilts of links come last
-    order[:n_actuated] = np.lexsort((np.abs(motion[:n_actuated]), mechanism.depths))
-    samples = np.empty((count, len(motion)))
-    samples[:, order] = halton(count, len(motion))
-    return np.where(motion < 0, 1 - samples, samples)
+    order = np.arange(len(moved))  # tilts of links come last
+    order[:n_actuated] = np.lexsort((np.abs(moved[:n_actuated]), mechanism.depths))
+    samples = np.empty((count, len(moved)))
+    samples[:, order] = halton(count, len(moved))
+    return np.where(moved < 0, 1 - samples, samples)
 
 
 def validate_ranges(within: Ranges, known: Sequence[str]) -> Ranges:

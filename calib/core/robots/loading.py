@@ -32,8 +32,7 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.gravity import columns_of
 from calib.core.robots.terms.terms import condition_columns
 from calib.core.robots.urdf.arm_chain import ArmChain, arm_chain
-from calib.core.robots.urdf.text import UrdfText, read_urdf
-from calib.core.robots.urdf.ur_kinematics import is_ur_kinematics
+from calib.core.robots.urdf.text import UrdfText, is_ur_kinematics, read_urdf
 
 _SAME_ORIGIN = 1e-4
 """Difference that rounding may leave between the origins of a stock URDF and of its model [m or 1]."""
@@ -74,35 +73,35 @@ def first_description(urdf: UrdfText, urdf_path: str, target: str | None = None)
     Raises:
         DescriptionError: There is no such link, or nothing moves it; or loops that do not determine the robot.
     """
-    chain, mjcf = arm_chain(urdf, target), urdf.mjcf
-    if mjcf is None or not mjcf.loops:
-        return describe(chain, urdf_path), "; ".join(filter(None, [*(mjcf.remarks if mjcf else ()), chain.remark]))
-    if not mjcf.motors:
+    chain, foreign = arm_chain(urdf, target), urdf.foreign
+    if not foreign.loops:
+        return describe(chain, urdf_path), "; ".join(filter(None, [*foreign.remarks, chain.remark]))
+    if not foreign.motors:
         raise DescriptionError(
             f"{urdf.path}: has loops, and no joint has an actuator; add actuators to its motors"
             " (in SDF: a plugin with their joint_name)"
         )
-    open_loops = describe(chain, urdf_path).model_copy(update={"name_mot": mjcf.motors})
-    description, remarks = _with_loops(open_loops, urdf), [*mjcf.remarks]
+    open_loops = describe(chain, urdf_path).model_copy(update={"name_mot": foreign.motors})
+    description, remarks = _with_loops(open_loops, urdf), [*foreign.remarks]
     try:
         build(description, urdf, urdf.path)
     except DescriptionError:
-        description = description.model_copy(update={"name_mot": (*mjcf.motors, *mjcf.springs)})
-        if not mjcf.springs:
+        description = description.model_copy(update={"name_mot": (*foreign.motors, *foreign.springs)})
+        if not foreign.springs:
             raise
         build(description, urdf, urdf.path)
-        remarks.append(f"springs count as motors, with columns for their deflections: {', '.join(mjcf.springs)}")
+        remarks.append(f"springs count as motors, with columns for their deflections: {', '.join(foreign.springs)}")
     return description, "; ".join([*remarks, replace(chain, fingers=(), branches=(), still=()).remark]).strip("; ")
 
 
 def _with_loops(description: Description, urdf: UrdfText) -> Description:
     """The description with the loops of such a file, if it says nothing of loops."""
-    mjcf = urdf.mjcf
-    if mjcf is None or not mjcf.loops or "closed_loop" in description.model_fields_set:
+    foreign = urdf.foreign
+    if not foreign.loops or "closed_loop" in description.model_fields_set:
         return description
-    links, kinds, axes = zip(*((loop.links, loop.kind, loop.axes) for loop in mjcf.loops), strict=True)
+    links, kinds, axes = zip(*((loop.links, loop.kind, loop.axes) for loop in foreign.loops), strict=True)
     ends = {"closed_loop": links, "type": kinds, "closed_loop_axes": axes}
-    return description.model_copy(update=ends | {"home": mjcf.home | description.home})
+    return description.model_copy(update=ends | {"home": foreign.home | description.home})
 
 
 def describe(chain: ArmChain, urdf_path: str) -> Description:

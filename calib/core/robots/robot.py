@@ -17,7 +17,7 @@ from calib.core.base.words import html_with_title
 from calib.core.robots import kinematics, loops
 from calib.core.robots.acceleration import compile_for, many
 from calib.core.robots.accuracy_of_files import Holds
-from calib.core.robots.closure import actuated_jacobian
+from calib.core.robots.closure import motion
 from calib.core.robots.configurations import (
     Configurations,
     assemble,
@@ -233,7 +233,7 @@ class Robot(RobotData, HintedObject):
             UnreachablePoseError: A loop cannot be closed.
         """
         configurations, pair = self.assemble(q), self._relative_frame(frame)
-        by_joint = actuated_jacobian(self.mechanism, pair, configurations.actuated, configurations.passive)[2]
+        by_joint = motion(self.mechanism, pair, configurations.actuated, configurations.passive)[2]
         jacobian = by_joint[:, :, : len(self.joint_names)]
         return jacobian[0] if np.ndim(q) == 1 else jacobian
 

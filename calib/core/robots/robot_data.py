@@ -8,7 +8,7 @@ those that users need as methods.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self, TypeVar
@@ -159,6 +159,16 @@ class RobotData(ReadOnlyArrays):
         """Mask of the coefficients of joint terms; they come last."""
         n = len(self.parameters)
         return slice(n - sum(len(term.parameters) for term in self.terms), n)
+
+    def terms_with_places(self) -> Iterator[tuple[JointTerm, slice]]:
+        """Yield each joint term with the place of its coefficients among the parameters."""
+        start = self.coefficients.start
+        for term in self.terms:
+            yield term, slice(start, start := start + len(term.parameters))
+
+    def term_values(self) -> Iterator[tuple[JointTerm, FloatArray]]:
+        """Yield each joint term with the values of its coefficients, (n_coefficients,) [SI]."""
+        return ((term, self.values[place]) for term, place in self.terms_with_places())
 
     @cached_property
     def turns_gravity(self) -> bool:

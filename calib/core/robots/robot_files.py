@@ -25,12 +25,8 @@ _ROUNDING = 1e-14  # a number of the URDF that moves by less has not been edited
 
 def lost_by(robot: RobotData, holds: Holds) -> tuple[str, ...]:
     """Return the joints with terms that are not zero and that a file of this kind loses."""
-    joints, start = dict[str, None](), robot.coefficients.start
-    for term in robot.terms:
-        coefficients = slice(start, start := start + len(term.parameters))
-        if not holds.keeps(term) and np.any(robot.values[coefficients]):
-            joints[term.joint] = None
-    return tuple(joints)
+    lost = (term.joint for term, values in robot.term_values() if not holds.keeps(term) and np.any(values))
+    return tuple(dict.fromkeys(lost))
 
 
 def without_terms(robot: SomeRobot, holds: Holds) -> SomeRobot:

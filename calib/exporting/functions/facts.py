@@ -26,7 +26,6 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.formula import Proportional, Source
 from calib.core.robots.terms.term import REFERENCE_TEMPERATURE, Context
 from calib.exporting.functions.trees import FunctionTree, tree_of
-from calib.exporting.joint_tables import term_values
 
 _STARTS = 64
 CONDITIONS = {
@@ -196,7 +195,7 @@ def _errors(robot: Robot) -> tuple[tuple[JointShare, ...], tuple[Wave, ...]]:
     """The joint errors, with equal terms of a joint added up."""
     rates: dict[tuple[int, Source, int, float], float] = {}
     series: dict[tuple[int, int, float], dict[int, FloatArray]] = {}
-    for term, values in term_values(robot):
+    for term, values in robot.term_values():
         if not term.adds:
             continue
         for driven in driven_by(term, robot.mechanism):
@@ -234,10 +233,8 @@ def _gravity(robot: Robot, commands: FloatArray) -> Gravity:
         mass[frame.after] += body.mass
         moment[frame.after] += body.mass * (frame.placement[:3, :3] @ body.lever + frame.placement[:3, 3])
     hangs = tree.frames[len(bodies)]
-    turns = robot.values[robot.coefficients][-2:] if robot.turns_gravity else np.zeros(0)
     nowhere, neutral = np.zeros((1, nominal.n_joints)), Context.neutral(1, len(robot.joint_names))
-    description = robot.description
-    acceleration, _ = accelerations(description.gravity, tuple(description.setups), nominal, nowhere, neutral, turns)
+    acceleration, _ = accelerations(robot, nowhere, neutral)
     return Gravity(tree, mass[1:], moment[1:], (hangs.after, hangs.placement[:3, 3]), acceleration[0])
 
 

@@ -23,12 +23,12 @@ from calib.core.data.measurements import Measurements
 from calib.core.data.plan_files import read_pose_files
 from calib.core.fitting.joint_conventions import wrapped_terms
 from calib.core.judging.verdict import unordered
-from calib.core.robots.pose_check import check_poses
 from calib.core.rows.observed import touches_without_target
 from calib.pictures import figures
 from calib.planning.assessment import check
 from calib.planning.assessment_text import advice_after_check, text_report, to_dict
 from calib.planning.pose_sampling import sample
+from calib.shared.pose_check import check_poses
 
 
 @click.command("check")

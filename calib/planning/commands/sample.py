@@ -15,8 +15,8 @@ from calib.core.commands.common import Output, load_robot, shared_options, value
 from calib.core.data.measurement_files import format_measurements, read_poses
 from calib.core.data.measurements import measurements
 from calib.core.robots.robot import Robot
-from calib.core.rows.free_poses import worth_sentence
 from calib.planning.pose_sampling import free_sample, little_seen
+from calib.shared.free_poses import worth_sentence
 
 _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<unit>[A-Za-z]*)$")
 

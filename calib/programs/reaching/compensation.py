@@ -42,7 +42,7 @@ from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
 from calib.core.data.in_memory import as_poses
 from calib.core.data.measurements import Poses, directions_of_motion
 from calib.core.robots.acceleration import compile_for
-from calib.core.robots.closure import actuated_jacobian
+from calib.core.robots.closure import motion
 from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
@@ -128,8 +128,9 @@ class Compensation(FramedErrors):
         rows = np.flatnonzero(self.ok)
         closed = nominal.close(self.q[rows])
         rows, target = rows[closed.ok], nominal.mechanism.targets[nominal.target_names.index(self.target)]
-        pose_and_jacobian = actuated_jacobian(nominal.mechanism, target, self.q[rows], closed.passive[closed.ok])
-        positions[rows], rotations[rows] = pose_and_jacobian[:2]
+        positions[rows], rotations[rows], *_ = motion(
+            nominal.mechanism, target, self.q[rows], closed.passive[closed.ok]
+        )
         return positions, rotations
 
     def jumps(self) -> list[str]:

@@ -23,7 +23,7 @@ from calib.core.base.units import millimetres
 from calib.core.base.words import count_noun, listing
 from calib.core.data.measurements import Poses
 from calib.core.robots import loops
-from calib.core.robots.closure import actuated_jacobian
+from calib.core.robots.closure import motion
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.core.robots.joint_sampling import joint_samples
@@ -111,7 +111,7 @@ class Search:
         self.best.take(todo[better], solutions.subset(best[better]))
 
     def _features_at(self, at: GoalConfigurations) -> FloatArray:
-        position, rotation, _ = actuated_jacobian(self.reach.mechanism, self.reach.target, at.actuated, at.passive)
+        position, rotation, *_ = motion(self.reach.mechanism, self.reach.target, at.actuated, at.passive)
         goals = self.reach.goals
         return _features(
             position,

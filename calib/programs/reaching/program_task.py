@@ -13,7 +13,7 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.data.measurements import Poses
 from calib.core.numerics import linalg
-from calib.core.robots.closure import actuated_jacobian
+from calib.core.robots.closure import motion
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.robot import Robot
 from calib.programs.reaching.goals import Goals
@@ -80,8 +80,8 @@ def _goals_reached(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goal
     closed = robot.close(joints)
     target = robot.mechanism.targets[robot.target_names.index(goals.target or robot.target_names[0])]
     positions, rotations = np.zeros((len(joints), 3)), np.tile(np.eye(3), (len(joints), 1, 1))
-    pose_and_jacobian = actuated_jacobian(robot.mechanism, target, joints[closed.ok], closed.passive[closed.ok])
-    positions[closed.ok], rotations[closed.ok], jacobian = pose_and_jacobian
+    there = motion(robot.mechanism, target, joints[closed.ok], closed.passive[closed.ok])
+    positions[closed.ok], rotations[closed.ok], jacobian, _ = there
     return replace(goals, positions=positions, rotations=rotations, directions=None), jacobian, closed.ok
 
 

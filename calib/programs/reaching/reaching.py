@@ -35,7 +35,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.robots import loops
-from calib.core.robots.closure import AssemblyMode, actuated_jacobian, motion
+from calib.core.robots.closure import AssemblyMode, motion
 from calib.core.robots.continuation import newton
 from calib.core.robots.mechanism import Mechanism, RelativeFrame
 from calib.programs.reaching.goals import Goals
@@ -176,7 +176,7 @@ class Reach:
 
         The configurations are `actuated` (n, n_actuated) and `passive` (n, n_passive).
         """
-        position, rotation, _ = actuated_jacobian(self.mechanism, self.target, actuated, passive)
+        position, rotation, *_ = motion(self.mechanism, self.target, actuated, passive)
         angle = np.zeros(len(position))
         if self.goals.rotations is not None:
             relative = self.goals.rotations.transpose(0, 2, 1) @ rotation

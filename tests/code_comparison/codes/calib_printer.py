@@ -9,8 +9,8 @@ from delta_printer import Printers, value
 from exchange import Answer, fit_time, main
 
 import calib
-from calib.core.commands.init import command
 from calib.printers.formats import geometry_of
+from calib.starting.command import command
 
 
 def solve(problem: Printers) -> Answer:

@@ -12,9 +12,9 @@ import calib
 from calib.core.data.measurement_files import read_measurements
 from calib.core.instruments.camera import is_in_front, project, rays
 from calib.core.instruments.kind import Readings, View
-from calib.core.rows.candidates import rows_of_poses
 from calib.core.rows.observed import predict_readings
 from calib.core.rows.registration import register
+from calib.shared.candidates import rows_of_poses
 from tests.kind_checks import assert_covered, assert_found, coverage
 from tests.six_axis_arm import joints, write_six_axis
 

@@ -12,8 +12,8 @@ from calib.core.numerics.identifiability import RANK_TOLERANCE, numerical_rank, 
 from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
 from calib.core.robots.jacobian import linearise
-from calib.core.rows.candidates import assumed_sigma
 from calib.core.rows.determination import Determination, determination
+from calib.shared.candidates import assumed_sigma
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace

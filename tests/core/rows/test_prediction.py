@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.core.robots.terms.terms import parse_terms
-from calib.core.rows.candidates import rows_of_poses
 from calib.core.rows.prediction import PositionUncertainty, order_of_joints, recombined_joints
+from calib.shared.candidates import rows_of_poses
 from tests.kind_checks import positions_by_joint
 from tests.project import write_table
 from tests.six_axis_arm import FREE, joints, measurements, noisy, six_axis_arm, write_six_axis

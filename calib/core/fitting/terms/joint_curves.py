@@ -41,10 +41,8 @@ class JointCurve(ReadOnlyArrays):
 def joint_curves(fit: Fit) -> tuple[JointCurve, ...]:
     """Return the curve of each joint term whose coefficients are a family."""
     robot, data, curves = fit.robot, fit.identification.data, []
-    start = robot.coefficients.start
-    for term in robot.terms:
-        index = np.arange(start, start + len(term.parameters))
-        start += len(term.parameters)
+    for term, own in robot.terms_with_places():
+        index = np.arange(own.start, own.stop)
         if not term.parameters[0].family:
             continue
         j = robot.joint_names.index(term.joint)

@@ -169,7 +169,7 @@ class _Tree:
 
     def _end(self, body: str) -> str:
         """The last link in the file at an end of a body, without stiff fingers; beyond the palm if the body has one."""
-        ties = {link for loop in self.urdf.mjcf.loops for link in loop.links} if self.urdf.mjcf else set()
+        ties = {link for loop in self.urdf.foreign.loops for link in loop.links}
         links = [link for link in self.urdf.links if self.body[link] == body and link not in ties]
         plain = [link for link in links if not self._is_stiff_finger(link)] or links
         parents = {joint.parent for joint in self.urdf.joints if joint.child in plain}

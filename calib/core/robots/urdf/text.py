@@ -11,27 +11,60 @@ and must then have the requested origins.
 
 from __future__ import annotations
 
+import io
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, UrdfError, require_known
 from calib.core.base.files import read_bytes
-from calib.core.robots.urdf.mjcf_reading import MjcfRobot, outermost, read_mjcf
+from calib.core.base.registry import list_entry_points, load_named
 from calib.core.robots.urdf.reader import NUMBER, UNSUPPORTED_TYPES, Span, Triple, UrdfJoint, UrdfReader, from_root
-from calib.core.robots.urdf.sdf_reading import read_sdf
-from calib.core.robots.urdf.ur_kinematics import read_origins, ur_urdf
 from calib.core.robots.urdf.writing import number_attribute, shortest
-from calib.core.robots.urdf.xacro_files import expand
 
 _ATTRIBUTE = re.compile(rb"""([^\s=<>/'"]+)\s*=\s*("[^"]*"|'[^']*')""")
 _BLANK = re.compile(rb"[ \t\r\n]*")
 Edit = tuple[int, int, bytes]
+
+
+@dataclass(frozen=True)
+class ForeignLoop:
+    """Two links that coincide.
+
+    Attributes:
+        links: Their names.
+        kind: `3d`: their points; `6d`: their whole frames.
+        axes: Directions that the loop holds, in the frame of the first.
+    """
+
+    links: tuple[str, str]
+    kind: str
+    axes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ForeignRobot:
+    """Content of a file of another format beside its URDF.
+
+    Attributes:
+        motors: Joints with an actuator, in the order of the actuators.
+        loops: Loops, cut open in the URDF.
+        springs: Joints with a spring and no actuator.
+        home: Value of each joint in the file [m or rad].
+        remarks: Features that the URDF does not have.
+    """
+
+    motors: tuple[str, ...] = ()
+    loops: tuple[ForeignLoop, ...] = ()
+    springs: tuple[str, ...] = ()
+    home: dict[str, float] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -46,7 +79,7 @@ class UrdfText:
         joints: Joints in file order.
         root_span: Bytes of the `<robot>` start tag.
         end: Byte at which `</robot>` starts.
-        mjcf: Motors and loops, if the file is MuJoCo's or Gazebo's.
+        foreign: Motors and loops of a file of another format.
     """
 
     source: bytes
@@ -56,7 +89,7 @@ class UrdfText:
     joints: tuple[UrdfJoint, ...]
     root_span: Span
     end: int
-    mjcf: MjcfRobot | None = None
+    foreign: ForeignRobot = field(default_factory=ForeignRobot)
 
     @property
     def root(self) -> str:
@@ -121,8 +154,11 @@ class UrdfText:
 
 
 def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> UrdfText:
-    """Read and check a URDF file; a xacro file (`.xacro`), which is expanded first; MuJoCo's format (MJCF); Gazebo's
-    (SDF); or a calibration of Universal Robots (YAML).
+    """Read and check a URDF file, or a file of another format, such as a calibration of Universal Robots (YAML).
+
+    Entry points of the group `calib.robot_readers` turn other formats into a URDF. Each is named by the file's ending,
+    such as `xacro`, or by the outermost element of its XML, such as `sdf`: a function of path, content and arguments
+    that returns a URDF and a `ForeignRobot`, or None.
 
     Args:
         arguments: Arguments of a xacro file, by name.
@@ -131,17 +167,28 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
         UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a file of
             another format that cannot be turned into a URDF.
     """
-    source = read_bytes(path, "the path of a URDF", UrdfError)
-    if arguments and Path(path).suffix != ".xacro":
+    source, ending = read_bytes(path, "the path of a URDF", UrdfError), Path(path).suffix.lower()
+    if arguments and ending != ".xacro":
         raise UrdfError(f"{path}: is no xacro file, and takes no arguments; leave out {', '.join(arguments)}")
-    if Path(path).suffix == ".xacro":
-        source = expand(path, arguments or {})
-    elif Path(path).suffix.lower() in (".yaml", ".yml"):
-        source = ur_urdf(read_origins(path))
-    elif (tag := outermost(source)) in ("mujoco", "sdf"):
-        mjcf = read_mjcf(path) if tag == "mujoco" else read_sdf(source, str(path))
-        return replace(parse_urdf(mjcf.source, str(path)), mjcf=mjcf)
+    kind = {".xacro": "xacro", ".yaml": "yaml", ".yml": "yaml"}.get(ending) or _outermost(source)
+    for entry in list_entry_points("calib.robot_readers") if kind not in ("robot", "") else ():
+        if entry.name == kind:
+            urdf, foreign = load_named(entry, "reader of robots")(str(path), source, arguments or {})
+            return replace(parse_urdf(urdf, str(path)), foreign=foreign or ForeignRobot())
     return parse_urdf(source, str(path))
+
+
+def is_ur_kinematics(content: object) -> bool:
+    """Return whether the content of a YAML file is a calibration of Universal Robots, no robot description."""
+    return isinstance(content, dict) and isinstance(content.get("kinematics"), dict) and "urdf" not in content
+
+
+def _outermost(source: bytes) -> str:
+    """The tag of a file's outermost element, such as `mujoco` of MJCF or `sdf`; empty if it is no XML."""
+    try:
+        return next(ElementTree.iterparse(io.BytesIO(source), events=("start",)))[1].tag
+    except (ElementTree.ParseError, StopIteration):
+        return ""
 
 
 def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:

@@ -313,7 +313,13 @@ def test_rows_that_are_said_to_be_worse_count_less(t):
 
 @pytest.mark.parametrize(
     ("sigma", "words"),
-    [(np.ones(3), "expected (80,)"), (np.zeros(80), "positive"), ("1 deg", "is for an angle"), ("x", "not a finite")],
+    [
+        (np.ones(3), "expected (80,)"),
+        (np.zeros(80), "positive"),
+        *((sigma, "must be a positive number") for sigma in (0.0, -1e-4, np.nan, np.inf)),
+        ("1 deg", "is for an angle"),
+        ("x", "not a finite"),
+    ],
 )
 def test_noise_that_makes_no_sense_is_told(t, sigma, words):
     with pytest.raises(calib.InputError, match=re.escape(words)):

@@ -14,7 +14,9 @@ from calib.core.judging.acceptance import verify
 from calib.core.judging.repeatability import iso_figures
 from calib.core.results import acceptance_text
 from calib.planning import assessment_text, selection_text
-from tests.small_robots import ARM_YAML, write_arm
+from tests.six_axis_arm import YAML as SIX
+from tests.six_axis_arm import write_six_axis
+from tests.small_robots import ARM_YAML, write_arm, write_parallelogram
 
 SIGMA = 3e-5
 FEW_FREE = (
@@ -146,13 +148,30 @@ class Commands:
         (few, _), priors = self.few_free, self.robot
         known = self.arm(FEW_FREE, "priors: false\n", "known")
         still = joints(20, 3) * [1, 0, 0] + [0, 0.3, 0.2]
+        loop, camera = calib.load(write_parallelogram(self.new())), self.from_unknown_place
+        crank = np.linspace(0.6, 2.4, 30)
         return {
             "determined": calib.check(known, joints(20, 3)),
             "base": calib.check(few, joints(20, 3)),
             "two positions": calib.check(few, joints(20, 3), task=joints(2, 4)),
             "still": calib.check(few, still, task=joints(20, 3)),
             "priors": calib.check(priors, joints(3, 3), task=joints(20, 4), sigma=1e-9),
+            "singular": calib.check(loop, np.append(crank, 0.004)[:, None]),
+            "regular": calib.check(loop, crank[:, None]),
+            "unknown place": calib.check(camera, np.random.default_rng(0).uniform(-1.5, 1.5, (30, 6))),
         }
+
+    @cached_property
+    def from_unknown_place(self):
+        """A six-axis arm whose second ball is read only from a place that is not known."""
+        targets = "  ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}\n"
+        instruments = (
+            "instruments:\n  ball: {kind: position, sigma: 0.03 mm}\n"
+            "  wire: {kind: distance, target: other, sigma: 0.1 mm,"
+            " end: {frame: l0, xyz: [1, 0.5, 0], position: unknown}}\n"
+        )
+        yaml = SIX.replace(targets, f"{targets}  other: {{frame: l6, xyz: [0, -40 mm, 90 mm]}}\n{instruments}")
+        return calib.load(write_six_axis(self.new(), yaml + "  - {origin: j2, components: [x], sigma: 2 mm}\n"))
 
     @cached_property
     def check_texts(self):
@@ -165,7 +184,7 @@ class Commands:
     def selections(self):
         """By name: a choice of poses, and its candidates."""
         robot, (stated, _), bare = self.robot, self.few_free, self.arm(FEW_FREE)
-        nine = as_poses(stated, joints(9, 1))
+        nine, sixty = as_poses(stated, joints(9, 1)), as_poses(stated, joints(60, 2))
         still = as_poses(stated, joints(20, 3) * [1, 0, 0] + [0, 0.3, 0.2])
         done = np.vstack([nine.joints[:2], joints(5, 5)])
         return {
@@ -173,6 +192,7 @@ class Commands:
             "no bound": (nine, calib.select(stated, nine, 5, "O2")),
             "all": (nine, calib.select(stated, nine, 9, "O2")),
             "starts": (nine, calib.select(stated, nine, 5, "O2", starts=5)),
+            "apart": (sixty, calib.select(stated, sixty, 8, "task", minimum_distance=0.3)),
             "still": (still, calib.select(stated, still, 8)),
             "priors": (nine, calib.select(robot, nine, 5)),
             "measured": (nine, calib.select(robot, nine, 3, measured=as_poses(robot, joints(4, 5)))),

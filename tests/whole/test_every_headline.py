@@ -191,6 +191,23 @@ def uncertainty(robot, names, q, task, sigma, priors=()):
     return there @ np.linalg.inv(information) @ there.T
 
 
+@pytest.mark.quick(0)
+def test_the_predicted_error_counts_noise_and_where_there_are_any_expected_errors(commands):
+    base = commands.checked["base"]
+    names = [p.name for p in base.parameters]
+    spread = uncertainty(commands.few_free[0], names, joints(20, 3), joints(20, 3), h.SIGMA)
+    said = r"position error ([\d.]+) mm RMS, .*, from measurement noise alone\."
+    assert numbers_of(said, commands.check_texts["base"]) == pytest.approx(
+        [1e3 * np.sqrt(np.trace(spread) / 20)], abs=1e-4
+    )
+    robot, sigmas = commands.robot, [p.sigma_si if p.prior else np.inf for p in commands.robot.parameters]
+    names = [p.name for p in robot.parameters]
+    spread = uncertainty(robot, names, joints(3, 3), joints(20, 4), 1e-7, sigmas)
+    said = r"position error ([\d.]+) mm RMS, .* noise and the expected errors of the parameters alone\."
+    by_both = [1e3 * np.sqrt(np.trace(spread) / 20)]  # 0.1 um is as good as the 1 nm that is asked for
+    assert numbers_of(said, commands.check_texts["priors"]) == pytest.approx(by_both, rel=1e-3)
+
+
 def test_what_moves_all_positions_as_one_body_is_told_apart_where_it_is_most(commands):
     """At two positions alone it is nearly all, whatever the errors are."""
     robot = commands.robot
@@ -218,6 +235,37 @@ def test_no_error_is_predicted_where_none_can_be(commands):
     few = "7 combinations of the 9 free parameters can be found from these poses; 2 are NOT determined"
     assert few in commands.check_texts["still"]
     assert "unbounded" not in commands.check_texts["base"]
+
+
+def test_changes_that_no_reading_shows_move_nothing(commands):
+    texts, robot = commands.check_texts, commands.few_free[0]
+    assert "Every combination of the parameters shows in the readings." in texts["determined"]
+    said = re.search(r"These poses cannot tell apart: (.*?) To determine", texts["still"])[1]
+    still = joints(20, 3) * [1, 0, 0] + [0, 0.3, 0.2]
+    units = {"mm": 1e-3, "deg": np.pi / 180}
+    terms = re.findall(r"(?:(from|\+) )?(?:([\d.e-]+) (mm|deg) of )?(-?)([a-z]\w*\.\w+)", said)
+    groups: list[dict[str, float]] = []
+    side = 1.0
+    for link, amount, unit, minus, name in terms:
+        side = {"": 1.0, "from": -1.0, "+": side}[link]
+        if not link:
+            groups.append({})
+        groups[-1][name] = side * (-1 if minus else 1) * float(amount or 1) * units[unit or "mm"]
+    assert len(groups) == 2, said
+    for group in groups:
+        by = derivative(robot, still, list(group))
+        assert h.rms(by @ list(group.values())) < 2e-3 * 1e-3  # digits shown
+
+
+def test_poses_near_a_singularity_are_counted(commands):
+    """The links of the parallelogram lie on each other at the last pose."""
+    assert "Warning: 1 pose near a singularity of the loops: pose 30" in commands.check_texts["singular"]
+    assert "singularity" not in commands.check_texts["regular"]
+
+
+def test_a_target_that_is_read_from_an_unknown_place_is_not_counted(commands):
+    assert "Not counted: other (only instruments at unknown places see it)." in commands.check_texts["unknown place"]
+    assert "Not counted" not in commands.check_texts["base"]
 
 
 # select
@@ -261,6 +309,15 @@ def test_other_starts_are_offered_where_they_may_find_better(commands):
     assert five > one
     for name in ("starts", "all", "nine"):
         assert "No bound" not in texts[name]
+
+
+def test_targets_keep_the_distance_that_is_said(commands):
+    _, selection = commands.selections["apart"]
+    points = commands.few_free[0].positions(selection.joints)[:, 0]
+    nearest = min(np.linalg.norm(a - b) for a, b in combinations(points, 2))
+    (said,) = numbers_of(r"at least ([\d.]+) mm apart", commands.select_texts["apart"])
+    assert nearest >= 1e-3 * said * (1 - 5e-3)
+    assert "mm apart" not in commands.select_texts["nine"]
 
 
 def test_what_candidates_leave_undetermined_is_said(commands):
@@ -319,6 +376,16 @@ def test_a_robot_may_differ_without_a_parameter_that_is_proven_to(commands):
         comparison.joint_p_values[0] < 0.05 <= np.nanmin([difference.p_values for difference in comparison.differences])
     )
     assert "no single" not in commands.compare_texts["first and longer"]
+
+
+def test_of_more_results_fewer_pairs_differ_by_chance(commands):
+    """Each pair alone would err in one of twenty; Holm's step-down makes the p-values of three pairs larger."""
+    _, folder = commands.results
+    names = ("first", "again", "elsewhere")
+    together = calib.compare(*(folder / name for name in names)).joint_p_values
+    alone = [commands.comparisons[f"first and {name}"].joint_p_values[0] for name in names[1:]]
+    assert all(p > 0.999 * single for p, single in zip(together, alone, strict=True))
+    assert together[0] > 1.9 * alone[0]  # at most one pair has a smaller p, so it counts twice at least
 
 
 def test_notes_say_what_was_used_and_why_others_may_differ(commands):

@@ -276,6 +276,10 @@ def test_a_robot_made_in_python_is_saved_and_loads_the_same(robot, tmp_path):
         (lambda robot: calib.sample(robot, 5, within={"joint_1": 1}), "joint_1"),
         (lambda robot: robot.sample(10**12), "sampling 1000000000000 poses needs about"),
         (lambda robot: calib.sample(robot, 10**11), "sampling 100000000000 poses needs about"),
+        (
+            lambda robot: calib.fit(robot.fix([p.name for p in robot.parameters]), robot_data(robot)),
+            "every parameter is held",
+        ),
         (lambda robot: calib.fit(robot, robot_data(robot), terms=["slack"]), "no term 'slack'"),
         (lambda robot: calib.fit(robot, robot_data(robot), terms=[]), "the list is empty"),
         (lambda robot: calib.fit(robot, robot_data(robot), terms=[1]), "a list of texts"),

@@ -134,6 +134,23 @@ def test_columns_agree_with_central_differences(machine):
     assert_terms_move_positions_as_differences_say(robot.with_parameters(values), q)
 
 
+def test_compliance_is_recovered_from_data_of_other_code(machine):
+    robot, at = machine
+    # origins known: over these poses, those of the five-bar can do nearly what its bending does
+    held = tuple(p.name for p in robot.parameters[: robot.n_origin_parameters])
+    robot = replace(robot, description=robot.description.model_copy(update={"held": held}))
+    q = poses(robot, 80, 2)
+    given = np.array([0.0, 6e-5, 9e-5]) if len(q[0]) == 3 else np.array([4e-4, 7e-4])
+    measured = np.array([at(row)[0] for row in q + given * torques(at, q)])
+    measured += 1e-5 * np.random.default_rng(3).standard_normal(measured.shape)
+    fit = calib.fit(robot, calib.as_measurements(robot, q, measured), sigma=1e-5)
+    assert fit.converged
+    index = [k for k, name in enumerate(fit.free_names) if name.endswith(".compliance")]
+    values, std = fit.robot.values[robot.coefficients], fit.statistics.std[index]
+    assert np.all(np.abs(values - given)[given > 0] < 4 * std[given > 0])
+    assert np.all(std[given > 0] < 0.05 * given[given > 0])
+
+
 KNEE = 2.0  # N m
 PLAY = """\
   - {origin: lift, components: [ry], sigma: 3 mrad}

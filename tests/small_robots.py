@@ -1,10 +1,12 @@
 """Small robots for tests, simple enough to compute by hand."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 import calib
+from tests.project import EXAMPLES
 
 ARM_URDF = """\
 <?xml version="1.0"?>
@@ -157,3 +159,14 @@ def write_pose_loop(folder):
         yaml = yaml.replace(key, repr(float(value)))
     (folder / "pose_loop.yaml").write_text(yaml)
     return folder / "pose_loop.yaml"
+
+
+def edited_five_bar(folder, *changes):
+    """The five-bar of the documentation with some of its URDF replaced."""
+    text = (EXAMPLES / "five_bar.urdf").read_text()
+    for old, new in changes:
+        text, count = re.subn(old, new, text)
+        assert count, old
+    (folder / "five_bar.urdf").write_text(text)
+    (folder / "five_bar.yaml").write_text((EXAMPLES / "five_bar.yaml").read_text())
+    return calib.load(folder / "five_bar.yaml")

@@ -138,17 +138,6 @@ def test_systems_are_solved_with_pivots():
     assert not np.all(np.isfinite(X))
 
 
-def test_a_whole_fit_gives_the_same_numbers():
-    robot = calib.load(EXAMPLES / "five_bar.yaml")
-    data = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", robot)
-    plain = calib.fit(robot, data)
-    with compile_kinematics():
-        fast = calib.fit(robot, data)
-    off = (fast.robot.values - plain.robot.values)[plain.free] / plain.statistics.std
-    assert np.max(np.abs(off)) < 1e-6
-    assert fast.statistics.std == pytest.approx(plain.statistics.std, rel=1e-6)
-
-
 def test_loops_of_directions_are_left_to_the_reference(tmp_path):
     robot = calib.load(write_pose_loop(tmp_path))
     with compile_kinematics():

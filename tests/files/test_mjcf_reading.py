@@ -237,13 +237,6 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path, run_calib, text, said
     assert not (tmp_path / "robot.yaml").exists()
 
 
-def test_loops_without_actuators_are_refused(tmp_path, run_calib):
-    text = five_bar(CONNECT)
-    (tmp_path / "robot.xml").write_text(text[: text.index("<actuator>")] + "</mujoco>")
-    done = run_calib("init", "robot.xml", "--target", "pen", "--out", "robot.yaml", cwd=tmp_path)
-    assert "no joint has an actuator" in done.refusal()
-
-
 def test_without_mujoco_the_way_is_named(tmp_path, monkeypatch):
     (tmp_path / "arm.xml").write_text(ARM)
     monkeypatch.setitem(sys.modules, "mujoco", None)

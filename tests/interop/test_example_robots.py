@@ -1,11 +1,9 @@
-"""Every fixed-base arm of example-robot-data: load, perturb, simulate, fit, export, reload, in the tools as well.
-
-The iiwa is not among them any more; PyBullet brings one.
-"""
+"""Every fixed-base arm of example-robot-data: load, perturb, simulate, fit, export, reload, in the tools as well."""
 
 import importlib.metadata
 import importlib.util
 import logging
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -81,14 +79,6 @@ def robots_folder() -> Path:
     return Path(str(distribution.locate_file(prefix))).parent / "robots"
 
 
-def iiwa() -> Path:
-    if importlib.util.find_spec("pybullet_data") is None:
-        pytest.skip("PyBullet is not installed (in a checkout: pip install -e '.[interop]')")
-    import pybullet_data
-
-    return Path(pybullet_data.getDataPath()) / "kuka_iiwa" / "model.urdf"
-
-
 def described(urdf: Path, target: str, folder: Path, held: str | None = None) -> calib.Robot:
     """The robot as `calib init` describes it, with one parameter held if need be."""
     out = folder / "robot_description.yaml"
@@ -137,29 +127,13 @@ def check(urdf: Path, target: str, folder: Path, held: str | None = None) -> Non
     assert np.abs(again.positions(held_out.joints) - fit.robot.positions(held_out.joints)).max() < 1e-12
     export(again, folder / "again.yaml", "toolbox")
     assert (folder / "again.urdf").read_bytes() == (folder / "robot.urdf").read_bytes()
-    same_in_pinocchio(fit.robot, folder / "robot.urdf", target, held_out.joints[:5])
-    same_in_pinocchio_from_mjcf(fit.robot, folder / "robot.xml", held_out.joints[:5])
+    same_in_pinocchio(fit.robot, folder / "robot.urdf", folder / "robot.xml", target, held_out.joints[:5])
     same_in_mujoco(fit.robot, folder / "robot.xml", held_out.joints[:5])
     same_in_drake(fit.robot, folder / "robot.drake.urdf", held_out.joints[:5])
 
 
-def same_in_pinocchio(robot: calib.Robot, urdf: Path, target: str, q: np.ndarray) -> None:
-    model = pin.buildModelFromXML(urdf.read_bytes())
-    data = model.createData()
-    root = robot.urdf.root
-    for row in q:
-        values = pin.neutral(model)
-        for name, value in zip(robot.joint_names, row, strict=True):
-            joint = model.joints[model.getJointId(name)]
-            values[joint.idx_q : joint.idx_q + joint.nq] = value if joint.nq == 1 else (np.cos(value), np.sin(value))
-        pin.framesForwardKinematics(model, data, values)
-        placed = data.oMf[model.getFrameId(target, pin.FrameType.BODY)].homogeneous
-        expected = np.linalg.solve(robot.forward(row, root), robot.forward(row, target))
-        assert np.abs(placed - expected).max() < 1e-9
-
-
-def same_in_pinocchio_from_mjcf(robot: calib.Robot, mjcf: Path, q: np.ndarray) -> None:
-    model = pin.buildModelFromMJCF(str(mjcf))
+def in_pinocchio(robot: calib.Robot, model: pin.Model, q: np.ndarray, *links: str) -> Iterator[list[pin.SE3]]:
+    """Where links are at each pose, in the model's root."""
     data = model.createData()
     for row in q:
         values = pin.neutral(model)
@@ -167,10 +141,15 @@ def same_in_pinocchio_from_mjcf(robot: calib.Robot, mjcf: Path, q: np.ndarray) -
             joint = model.joints[model.getJointId(name)]
             values[joint.idx_q : joint.idx_q + joint.nq] = value if joint.nq == 1 else (np.cos(value), np.sin(value))
         pin.framesForwardKinematics(model, data, values)
-        frame, point = (
-            data.oMf[model.getFrameId(name, pin.FrameType.BODY)]
-            for name in ("measurement_frame", f"target_{robot.target_names[0]}")
-        )
+        yield [data.oMf[model.getFrameId(link, pin.FrameType.BODY)] for link in links]
+
+
+def same_in_pinocchio(robot: calib.Robot, urdf: Path, mjcf: Path, target: str, q: np.ndarray) -> None:
+    for row, (placed,) in zip(q, in_pinocchio(robot, pin.buildModelFromXML(urdf.read_bytes()), q, target), strict=True):
+        expected = np.linalg.solve(robot.forward(row, robot.urdf.root), robot.forward(row, target))
+        assert np.abs(placed.homogeneous - expected).max() < 1e-9
+    links = ("measurement_frame", f"target_{robot.target_names[0]}")
+    for row, (frame, point) in zip(q, in_pinocchio(robot, pin.buildModelFromMJCF(str(mjcf)), q, *links), strict=True):
         assert np.abs(frame.actInv(point.translation) - robot.positions(row)[0, 0]).max() < 1e-9
 
 
@@ -255,10 +234,6 @@ def test_variants_of_these_arms_are_too(tmp_path: Path, amount: int) -> None:
         check(robots_folder() / arm, ARMS[arm], folder)
 
 
-def test_iiwa_is_calibrated_exported_and_loaded_again(tmp_path: Path) -> None:
-    check(iiwa(), "lbr_iiwa_link_7", tmp_path)
-
-
 def check_read_back(file: Path, folder: Path) -> None:
     """The first arm or leg of a robot, exported; what four programs read is where it is."""
     robot = calib.load(file)
@@ -268,8 +243,7 @@ def check_read_back(file: Path, folder: Path) -> None:
     export(robot, folder / "robot.drake.urdf", "drake")
     again = calib.load(folder / "robot.yaml")
     assert np.abs(again.positions(joints) - robot.positions(joints)).max() < 1e-12
-    same_in_pinocchio(robot, folder / "robot.urdf", robot.target_names[0], joints)
-    same_in_pinocchio_from_mjcf(robot, folder / "robot.xml", joints)
+    same_in_pinocchio(robot, folder / "robot.urdf", folder / "robot.xml", robot.target_names[0], joints)
     same_in_mujoco(robot, folder / "robot.xml", joints)
     same_in_drake(robot, folder / "robot.drake.urdf", joints)
 

@@ -61,29 +61,6 @@ def put(model, data, values: dict[str, float]) -> np.ndarray:
     return q
 
 
-def test_pinocchio_closes_the_loops_of_the_mjcf_to_the_same_passive_joints(case) -> None:
-    """Newton on Pinocchio's own constraints, from home: 9 rows, of which 7 are independent, for 7 passive joints."""
-    model, points, _ = pin.buildModelAndConstraintsFromMJCF(str(case.folder / "robot.xml"))
-    data = model.createData()
-    home = case.robot.assemble(case.robot.home)
-    values = dict(zip(case.robot.passive_names, home.passive[0], strict=True))
-    columns = [model.joints[model.getJointId(name)].idx_v for name in case.robot.passive_names]
-    for target in case.joints[20:30]:
-        q = put(model, data, values | {name: target[name] for name in case.robot.joint_names})
-        for _ in range(20):
-            pin.computeJointJacobians(model, data, q)
-            gaps, rows = [], []
-            for point in points:
-                point_data = point.createData()
-                point.calc(model, data, point_data)
-                gaps.append(point_data.constraint_position_error.copy())
-                rows.append(point.jacobian(model, data, point_data)[:, columns])
-            step = np.linalg.lstsq(np.vstack(rows), np.concatenate(gaps))[0]
-            q[columns] -= step * min(1.0, 0.3 / np.abs(step).max())
-        passive = {name: q[model.joints[model.getJointId(name)].idx_q] for name in case.robot.passive_names}
-        assert passive == pytest.approx({name: target[name] for name in passive}, abs=1e-10)
-
-
 def test_mjcf_loops_are_those_of_calib_also_where_they_are_open(case) -> None:
     """Off the assembled configurations, each gap is as wide in both: the same points are tied."""
     model, points, _ = pin.buildModelAndConstraintsFromMJCF(str(case.folder / "robot.xml"))

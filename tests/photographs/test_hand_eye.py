@@ -243,8 +243,7 @@ def test_of_other_readings_just_the_one_that_is_named_gives_the_scene_back():
         fits = [
             text
             for _, text, other in other_readings(wrong, ("tool",))
-            if len(other) == len(exact)
-            and all(np.allclose(getattr(other, part), getattr(exact, part)) for part in ("tool", "body", "pixels"))
+            if len(other) == len(exact) and same(other, exact)
         ]
         assert len(fits) == 1, words
         assert words in fits[0]

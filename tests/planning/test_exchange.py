@@ -76,16 +76,6 @@ def test_the_history_rises_and_leads_from_start_to_end(index):
     assert len(chosen) == COUNT
 
 
-def test_exchange_ends_when_the_pose_just_added_is_the_one_that_goes():
-    problem, rng = made_up(3)
-    done = exchange(problem, "O1", rng.choice(N, COUNT, replace=False), everywhere())
-    added = done.scores.best_move(~done.chosen, add=True)
-    larger = done.scores.after_move(added, add=True)
-    more = done.chosen.copy()
-    more[added] = True
-    assert larger.best_move(more, add=False) == added
-
-
 @pytest.mark.parametrize("index", CHOICES)
 def test_a_start_that_determines_too_little_is_mended(index):
     rows = np.random.default_rng(0).standard_normal((N, 3, D))
@@ -110,23 +100,6 @@ def test_a_uniform_start_is_evenly_spread():
     assert uniform_start(np.arange(420), 84).tolist() == list(range(2, 420, 5))
     assert uniform_start(np.arange(7), 7).tolist() == list(range(7))
     assert len(set(uniform_start(np.arange(100), 33).tolist())) == 33
-
-
-@pytest.mark.parametrize("index", ["O1", "O3", TASK])
-def test_chosen_poses_keep_their_distance(index):
-    rng = np.random.default_rng(5)
-    rows = rng.standard_normal((60, 3, D))
-    space = Spacing(np.ones(60, dtype=bool), np.zeros(60, dtype=int), np.arange(60), rng.uniform(0, 1, (60, 3)), 0.3)
-    space = replace(space, usable=rng.uniform(size=60) < 0.8)
-    problem = build_problem(rows, task_rows=rows)
-    start = space.select_spread(np.flatnonzero(space.usable)[:8], 8)
-    done = swap(exchange(problem, index, start, space), space)
-    chosen = np.flatnonzero(done.chosen)
-    gaps = np.linalg.norm(space.points[chosen][:, None] - space.points[chosen], axis=2) + np.eye(len(chosen))
-    assert len(chosen) == 8
-    assert gaps.min() >= 0.3
-    assert space.usable[chosen].all()
-    assert done.values[-1] > done.values[0]
 
 
 def test_spread_gives_fewer_poses_where_there_is_no_room():

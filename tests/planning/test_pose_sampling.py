@@ -87,9 +87,11 @@ def test_many_poses_are_tried_part_by_part_with_the_same_numbers(arm, monkeypatc
     np.testing.assert_array_equal(calib.sample(arm, 30, seed=4, within={"reflector_z": (0.5, 0.8)}).joints, whole)
 
 
-def test_loops_close_at_sampled_poses():
+def test_loops_close_at_sampled_poses_away_from_singular_ones():
     robot = calib.load(EXAMPLES / "five_bar.yaml")
-    robot.assemble(calib.sample(robot, 30, seed=3).joints)
+    q = calib.sample(robot, 30, seed=3).joints
+    assert robot.singular_values(robot.assemble(q)).min() >= robot.description.singularity_limit
+    assert np.all((q >= robot.joint_limits[:, 0]) & (q <= robot.joint_limits[:, 1]))
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def candidates(tmp_path_factory, medrue):
 def selected(run_calib, candidates, tmp_path_factory):
     folder = tmp_path_factory.mktemp("selected")
     run = run_calib(
-        "select", ROBOT, candidates, "--count", 42, "--out", folder / "poses.csv",
+        "select", ROBOT, candidates, "--count", 42, "--index", "o1", "--out", folder / "poses.csv",
         "--json", folder / "select.json", "--plots", folder / "plots",
     )  # fmt: skip
     assert run.code == 0, run.err
@@ -92,16 +92,6 @@ def test_without_a_pose_column_rows_are_numbered(run_calib, tmp_path):
     chosen = set(read_table(tmp_path / "o.csv").text("pose"))
     assert len(chosen) == 12
     assert not chosen & {"3", "17", *map(str, range(20, 26))}
-
-
-@pytest.mark.quick(0)
-@pytest.mark.parametrize("index", ["o5", "task"])
-def test_every_index_by_name(run_calib, candidates, tmp_path, index):
-    run = run_calib("select", ROBOT, candidates, "--count", 30, "--index", index, "--out", tmp_path / "o.csv",
-                    "--json", "-")  # fmt: skip
-    content = json.loads(run.out)
-    assert content["index"].lower() == index.lower()
-    assert (content["efficiency"] is None) == (index != "task")
 
 
 def test_measured_poses_are_complemented_and_counted_with_their_repeats(run_calib, candidates, tmp_path):

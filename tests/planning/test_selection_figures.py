@@ -2,16 +2,19 @@
 
 import numpy as np
 import pytest
+from calib.core.rows.candidates import rows_of_poses
 
 import calib
 from calib import fit
+from calib.core.base.threads import one_blas_thread
+from calib.core.numerics.observability import information
 from calib.core.robots.jacobian import linearise
+from calib.core.rows.unknowns import Unknowns
 from calib.planning.selection import select
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from tests import public_data
-from tests.benchmarks import motoman_choice
 
 Q = target_workspace().q
 SIGMA = 4e-5
@@ -47,16 +50,49 @@ def test_the_predicted_error_is_the_one_that_fits_have(medrue):
     assert np.sqrt(np.mean(squares)) == pytest.approx(selection.after["task"], rel=0.3)
 
 
+COUNT = 53
+
+
+def rms(errors):
+    """Root mean square length of errors (n, 3) [m], in mm."""
+    return 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=1)))
+
+
+def choices(fit, train, test, draws, seed=0):
+    """Pose numbers by name, and `draws` random ones."""
+    sigma = fit.sigma
+    chosen = {
+        "O1": select(fit.robot, train.joints, COUNT, "O1", sigma=sigma).chosen,
+        "task": select(fit.robot, train.joints, COUNT, "task", task=test.joints, sigma=sigma).chosen,
+    }
+    rng = np.random.default_rng(seed)
+    return chosen, [rng.choice(len(train), COUNT, replace=False) for _ in range(draws)]
+
+
+def predicted(fit, train, test):
+    """A function from pose numbers to the position error at the held-out poses that noise alone leaves [mm]."""
+    robot, sigma = fit.robot, fit.sigma
+    rows = rows_of_poses(robot, robot.assemble(train.joints), sigma).rows
+    there = rows_of_poses(robot, robot.assemble(test.joints), sigma).position_rows
+    priors = Unknowns.from_robot(robot).prior.rows
+
+    @one_blas_thread
+    def error(index):
+        return 1e3 * np.sqrt(np.mean(information(rows[index], priors).position_errors(there) ** 2))
+
+    return error
+
+
 @pytest.fixture(scope="module")
 def motoman(shared_data):
     robot, train, test = public_data.motoman(shared_data / "motoman_right")
     everything = calib.fit(robot, train, validation=test)
-    return everything, train, test, *motoman_choice.choices(everything, train, test, 200)
+    return everything, train, test, *choices(everything, train, test, 200)
 
 
 def test_on_the_real_arm_noise_alone_would_make_the_choice_best_of_all(motoman):
     everything, train, test, chosen, random = motoman
-    error = motoman_choice.predicted(everything, train, test)
+    error = predicted(everything, train, test)
     others = [error(index) for index in random]
     assert error(chosen["O1"]) < min(others)
     assert error(chosen["task"]) < min(others)
@@ -67,9 +103,7 @@ def test_on_the_real_arm_the_model_and_not_the_noise_is_what_is_left(motoman):
     everything, train, test, chosen, _ = motoman
     inside = np.isin(np.arange(len(train)), chosen["O1"])
     residual = everything.identification.errors("after")
-    assert motoman_choice.rms(residual[inside]) > 1.1 * motoman_choice.rms(residual[~inside])
+    assert rms(residual[inside]) > 1.1 * rms(residual[~inside])
     by_o1 = calib.fit(everything.nominal, train.subset(np.sort(chosen["O1"])), validation=test)
     # within 15 % of what all 159 poses give; the noise part of either is a third of it
-    assert motoman_choice.rms(by_o1.validation.errors("after")) < 1.15 * motoman_choice.rms(
-        everything.validation.errors("after")
-    )
+    assert rms(by_o1.validation.errors("after")) < 1.15 * rms(everything.validation.errors("after"))

@@ -1,14 +1,15 @@
 """Programs in the languages of controllers for tests, and controllers that run them: no code of the engine in them.
 
-The arm is that of `six_axis_arm`. A controller reads its own language with the patterns below, makes joints of poses by
-its nominal kinematics, starting from the joints that the pose is known to be near to, and the true robot goes there.
+The arm is that of `six_axis_arm`. Controllers are those of `programs_run`; joints of poses are made by the nominal
+kinematics, starting from the joints that the pose is known to be near to, and the true robot goes there.
 """
 
-import re
+import contextlib
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests.programs import programs_run as controllers
 from tests.six_axis_arm import _JOINTS
 
 NUMBER = r"-?\d+\.?\d*(?:[eE][-+]?\d+)?"
@@ -92,22 +93,6 @@ def urscript(q):
     )
 
 
-def run_urscript(text, q):
-    """Joints to which the controller goes, (n, 6), and which row each is of."""
-    lists = [np.array(numbers.split(","), float) for numbers in re.findall(r"joints_\d+ = \[(.*?)\]", text)]
-    points = [np.array(numbers.split(","), float) for numbers in re.findall(r"point_\d+ = p\[(.*?)\]", text)]
-    inline = [np.array(numbers.split(","), float) for numbers in re.findall(r"pose_trans\(feature, p\[(.*?)\]\)", text)]
-
-    def pose(values):
-        return transform(Rotation.from_rotvec(values[3:]), values[:3])
-
-    tool = np.linalg.inv(TOOL)
-    went = [*lists]
-    went += [joints_of(pose(values) @ tool, near) for values, near in zip(points, q, strict=True)]
-    went += [joints_of(FRAME @ pose(values) @ tool, near) for values, near in zip(inline, q, strict=True)]
-    return np.array(went), np.tile(np.arange(len(q)), 3)
-
-
 # ---------------------------------------------------------------- RAPID
 
 
@@ -137,18 +122,6 @@ def rapid(q):
         lines.append(f"    MoveL p{k}, v100\\V:=80, fine, tGrip \\WObj:=wTable;  ! point {k}")
     lines.append("    MoveL Offs(p0,0,0,50), v100, fine, tGrip\\WObj:=wTable;")
     return "\n".join([*lines, "    MoveJ pHome, v100, fine, tool0;", "  ENDPROC", "ENDMODULE", ""])
-
-
-def run_rapid(text, q):
-    went = []
-    for name, near in ((f"p{k}", row) for k, row in enumerate(q)):
-        v = np.array(re.findall(NUMBER, re.search(rf"robtarget {name}:=(.*?);", text)[1])[:7], float)
-        T = transform(Rotation.from_quat([*v[4:7], v[3]]), v[:3] / 1e3)
-        went.append(joints_of(FRAME @ T @ np.linalg.inv(TOOL), near))
-    for k in range(len(q)):
-        v = np.array(re.findall(NUMBER, re.search(rf"jointtarget j{k}:=(.*?);", text)[1])[:6], float)
-        went.append(np.radians(v))
-    return np.array(went), np.tile(np.arange(len(q)), 2)
 
 
 # ---------------------------------------------------------------- KRL
@@ -201,20 +174,6 @@ def krl(q):
     return "\n".join(src), "\n".join([*dat, "ENDDAT", ""])
 
 
-def run_krl(src, dat, q):
-    def pose(text):
-        v = np.array([re.search(rf"\b{name} ({NUMBER})", text)[1] for name in "XYZABC"], float)
-        T = transform(Rotation.from_euler("ZYX", v[3:], degrees=True), v[:3] / 1e3)
-        return FRAME @ T @ np.linalg.inv(TOOL)
-
-    went = [joints_of(pose(re.search(rf"XP{k}=(.*)", dat)[1]), near) for k, near in enumerate(q)]
-    for k in range(len(q)):
-        text = re.search(rf"XA{k}=(.*)", dat)[1]
-        went.append(np.radians([float(re.search(rf"A{j} ({NUMBER})", text)[1]) for j in range(1, 7)]))
-    went.append(joints_of(pose(re.search(r"LIN (\{X.*)", src)[1]), q[0]))
-    return np.array(went), np.append(np.tile(np.arange(len(q)), 2), 0)
-
-
 # ---------------------------------------------------------------- FANUC
 
 
@@ -253,20 +212,24 @@ def fanuc(q):
     return "\n".join([*head, *numbered, *places, "/END", ""])
 
 
-def run_fanuc(text, q):
+def run(language, texts, q):
+    """Joints to which the controller goes, (n, 6), and which row each is of; moves that are computed come last."""
+    read = {
+        "URScript": lambda: controllers.URScript(texts[0], 0),
+        "RAPID": lambda: controllers.Rapid(texts[0], 0),
+        "KRL": lambda: controllers.Krl(*texts, 0),
+        "FANUC": lambda: controllers.Fanuc(texts[0], {"UFRAME[1]": FRAME, "UTOOL[2]": TOOL}, 0),
+    }
+    controller, rows = read[language](), np.repeat(np.arange(len(q)), 3 if language == "URScript" else 2)
+    rows = np.append(rows, 0) if language == "KRL" else rows
+    with contextlib.suppress(KeyError, NameError):  # of what the program does not say
+        controller.run()
     went = []
-    blocks = dict(re.findall(r"(?m)^P\[(\d+)[^\]]*\]\{(.*?)^\};", text, re.DOTALL))
-    for k, near in enumerate(q):
-        block = blocks[str(2 * k + 1)]
-        v = np.array([re.search(rf"\b{name} =\s*({NUMBER})", block)[1] for name in "XYZWPR"], float)
-        T = transform(Rotation.from_euler("xyz", v[3:], degrees=True), v[:3] / 1e3)
-        went.append(joints_of(FRAME @ T @ np.linalg.inv(TOOL), near))
-    for k in range(len(q)):
-        block = blocks[str(2 * k + 2)]
-        v = np.radians([float(re.search(rf"J{j}=\s*({NUMBER})", block)[1]) for j in range(1, 7)])
-        v[2] += v[1]
-        went.append(v)
-    return np.array(went), np.tile(np.arange(len(q)), 2)
+    for row, move in zip(rows, controller.moves, strict=False):
+        is_pose = move.to.shape == (4, 4)
+        counted = 0 if is_pose or language != "FANUC" else move.to[1] * np.eye(6)[2]
+        went.append(joints_of(move.to, q[row]) if is_pose else move.to + counted)
+    return np.array(went), rows
 
 
 def frames_table():

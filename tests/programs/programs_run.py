@@ -166,7 +166,7 @@ class URScript(Controller):
                 _, head, body = statement[1][0]
                 name, inside = re.match(r"(\w+)\s*\((.*)\)", head).groups()
                 self.functions[name] = ([x.strip() for x in inside.split(",") if x.strip()], body)
-                if len(self.scopes) == 1 and name == "main":
+                if len(self.scopes) == 1:
                     self._call(name)
             elif statement[0] == "if":
                 for line, head, body in statement[1]:
@@ -304,7 +304,7 @@ class Rapid(Controller):
     def __init__(self, text, seed):
         super().__init__(seed)
         text = re.sub(r'"[^"\n]*"|![^\n]*', lambda m: '""' + " " * (len(m[0]) - 2) if m[0][0] == '"' else "", text)
-        self.text, self.at = text.lower(), 0
+        self.text, self.at = text.lower(), text.lower().index("module")
         half = [[0.0, 0.0, 0.0], _NO_ROTATION]
         self.data = {
             "tool0": _Record("tooldata", [True, half, []]),
@@ -732,7 +732,7 @@ class Krl(Controller):
             self.data["$TOOL"] = dict(self.data["TOOL_DATA"][int(self.form["TOOL_NO"])])
             self.data["$BASE"] = dict(self.data["BASE_DATA"][int(self.form["BASE_NO"])])
         else:
-            assert given[0] in ("#VEL_PTP", "#ACC_PTP", "#VEL_CP"), given
+            assert given[0] in ("#VEL_PTP", "#ACC_PTP", "#VEL_CP", "#INITMOV"), given
 
     def _assign(self, target, value, data):
         parts = re.match(r"([$\w]+)\s*(?:\[(.*?)\])?\s*(?:\.(\w+))?$", target.replace(" ", ""))

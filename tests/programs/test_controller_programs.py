@@ -50,10 +50,10 @@ def cell(tmp_path_factory):
 
 
 LANGUAGES = {
-    "URScript": (".script", programs.urscript, programs.run_urscript, {}),
-    "RAPID": (".mod", programs.rapid, programs.run_rapid, {}),
-    "KRL": (".src", programs.krl, programs.run_krl, {}),
-    "FANUC": (".ls", programs.fanuc, programs.run_fanuc, {"third_joint": "j2+j3"}),
+    "URScript": (".script", programs.urscript, {}),
+    "RAPID": (".mod", programs.rapid, {}),
+    "KRL": (".src", programs.krl, {}),
+    "FANUC": (".ls", programs.fanuc, {"third_joint": "j2+j3"}),
 }
 
 
@@ -71,7 +71,7 @@ def written(folder, suffix, make, q=Q):
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_the_true_robot_goes_where_the_program_means_and_only_numbers_of_targets_differ(cell, language):
     folder, robot, true, fit = cell
-    suffix, make, run, options = LANGUAGES[language]
+    suffix, make, options = LANGUAGES[language]
     paths, before = written(folder, suffix, make)
     program = read_program(paths[0], [folder / "frames.csv"] if language == "FANUC" else [])
     result = compensate_program(fit, program, **options)
@@ -79,7 +79,7 @@ def test_the_true_robot_goes_where_the_program_means_and_only_numbers_of_targets
     after = [content.decode() for content in result.files()]
 
     def errors(texts):
-        went, rows = run(*texts, Q)
+        went, rows = programs.run(language, texts, Q)
         meant, did = (item.forward(q, "l6") @ programs.TOOL for item, q in ((robot, Q[rows]), (true, went)))
         return np.linalg.norm((meant - did)[:, :3, 3], axis=1)
 
@@ -107,7 +107,7 @@ def test_the_true_robot_goes_where_the_program_means_and_only_numbers_of_targets
     ],
 )
 def test_what_is_worked_out_at_run_time_is_listed_with_its_line(cell, language, left):
-    suffix, make, _, _ = LANGUAGES[language]
+    suffix, make, _ = LANGUAGES[language]
     paths, texts = written(cell[0], suffix, make)
     program = read_program(paths[0], [cell[0] / "frames.csv"])
     assert len(program.left_out) == len(left)

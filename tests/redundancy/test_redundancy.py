@@ -1,13 +1,10 @@
 """Machines that calibrate themselves by what they feel twice: kinds, terms and origins of `calib.redundancy`.
 
 What is read is made by other code: the six-axis arm written out, formulas of pointing, a play operator of its own.
-`python -m tests.redundancy.test_redundancy 400` prints coverage of many calibrations.
 """
 
-import argparse
 import ast
 import importlib
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -640,20 +637,3 @@ def test_a_machine_needs_no_more_than_the_public_door(path):
             own = importlib.import_module(node.module)
             for alias in node.names:
                 assert getattr(extend, alias.name) is getattr(own, alias.name)
-
-
-def main():
-    """Print the coverage of intervals over many calibrations of each case."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("fits", type=int, help="how many of each case")
-    n = parser.parse_args().fits
-    for name, case in CASES.items():
-        with tempfile.TemporaryDirectory() as folder:
-            parts, chi_square = coverage(case, Path(folder), n)
-        low, high = 100 * parts.min(), 100 * parts.max()
-        print(f"{name}: {n} fits, coverage {low:.1f} to {high:.1f} %, mean {100 * parts.mean():.1f} %,", end=" ")
-        print(f"chi-square over freedom {chi_square:.3f}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -110,8 +110,11 @@ def test_a_bad_description_is_refused(folder, refused, content, message):
 
 
 LINK = '<link name="upper"/>'
+MIMIC = ARM_URDF.replace("<limit", '<mimic joint="turn" {}="{}"/><limit', 1)
 BAD_URDFS = {  # more in tests/core/robots/urdf/test_urdf_text.py
     "SDF": ("<?xml version='1.0'?><sdf version='1.7'/>", "arm.urdf: it has no model with links"),
+    "mimic multiplier": (MIMIC.format("multiplier", "1e308"), "mimic multiplier: '1e308' is beyond 1e9"),
+    "mimic offset": (MIMIC.format("offset", "-1e308"), "mimic offset: '-1e308' is beyond 1e9"),
     "unknown link": (ARM_URDF.replace('parent link="upper"', 'parent link="uper"'), "did you mean 'upper'?"),
     "entity of a file": (
         ARM_URDF.replace("<robot", '<!DOCTYPE robot [<!ENTITY secret SYSTEM "file:///etc/passwd">]><robot'),
@@ -135,7 +138,7 @@ BAD_URDFS = {  # more in tests/core/robots/urdf/test_urdf_text.py
 }  # fmt: skip
 
 
-@pytest.mark.quick(1)
+@pytest.mark.quick(3)
 @pytest.mark.parametrize(("content", "message"), BAD_URDFS.values(), ids=BAD_URDFS)
 def test_a_bad_urdf_is_refused(folder, refused, content, message):
     assert content != ARM_URDF

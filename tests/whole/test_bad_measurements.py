@@ -12,7 +12,7 @@ from calib.exporting.formats import JOINT_TABLES
 from calib.printers import COMMENTS as FIRMWARES
 from tests.project import write_table
 from tests.six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
-from tests.small_robots import write_arm, write_parallelogram
+from tests.small_robots import write_arm
 
 SIGMA = 4e-5
 NOT_FOR_ARMS = ("ur-kinematics", "rotary-axes", JOINT_TABLES, *FIRMWARES)
@@ -179,26 +179,6 @@ def test_nan_from_python_is_named(folder):
     q[6, 2] = np.inf
     with pytest.raises(calib.DataError, match="row 6: joint values are not finite"):
         calib.fit(robot, replace(measurements(robot, joints(40), robot.positions(joints(40))), joints=q))
-
-
-@pytest.mark.parametrize("sigma", [0.0, -1e-4, np.nan, np.inf])
-def test_a_senseless_noise_is_refused(folder, sigma):
-    robot = calib.load(folder / "arm.yaml")
-    with pytest.raises(calib.DataError, match="must be a positive number"):
-        calib.fit(robot, measurements(robot, joints(40), robot.positions(joints(40))), sigma=sigma)
-
-
-def test_a_closed_loop_robot_ends_in_a_verdict_too(fit_file, tmp_path):
-    """Positions of other poses."""
-    q = np.linspace(0.35, 2.8, 20)[:, None]
-    positions = 0.5 * np.column_stack([np.cos(q) + 1, np.sin(q), 0 * q])
-    noise = RNG.standard_normal(positions.shape)
-    read, header = positions[::-1] + SIGMA * noise, "a [rad],pin_x,pin_y,pin_z"
-    run, result = fit_file(q, read, write_parallelogram(tmp_path), header=header)
-    assert run.code == 3
-    one_line(run)
-    if result is not None:
-        assert result["verdict"]["grade"] == "FAIL"
 
 
 @pytest.mark.amount(3000, 100_000)

@@ -9,7 +9,6 @@ import scipy
 
 import calib
 from calib.core.data.in_memory import as_poses
-from calib.planning.assessment_text import advice_after_check
 from tests.project import EXAMPLES
 from tests.whole import headline_situations as h
 from tests.whole.headline_situations import Commands, derivative, joints, measured, on_one_line, value
@@ -267,18 +266,6 @@ def test_poses_near_a_singularity_are_counted(commands):
 def test_a_target_that_is_read_from_an_unknown_place_is_not_counted(commands):
     assert "Not counted: other (only instruments at unknown places see it)." in commands.check_texts["unknown place"]
     assert "Not counted" not in commands.check_texts["base"]
-
-
-def test_after_a_check_the_next_step_is_what_the_poses_need(commands):
-    robot, q = commands.few_free[0], joints(20, 3)
-    poses, data = as_poses(robot, q), measured(robot, q, 1)
-    good, bad = (commands.checked[name] for name in ("base", "still"))
-    assert "calib sample r.yaml" in advice_after_check(good, "r.yaml", poses, (), {})
-    hold = "Next: hold parameters that are named above (`held` in the description), or add poses, and check again: "
-    assert advice_after_check(bad, "r.yaml", poses, ("p.csv",), {}) == f"{hold}calib check r.yaml p.csv"
-    assert advice_after_check(bad, "r.yaml", data, ("d.csv",), {}) == f"{hold}calib check r.yaml d.csv"
-    assert "fit these measurements: calib fit r.yaml d.csv" in advice_after_check(good, "r.yaml", data, ("d.csv",), {})
-    assert "choose the poses to measure: calib select" in advice_after_check(good, "r.yaml", poses, ("p.csv",), {})
 
 
 # select

@@ -305,23 +305,6 @@ def test_mistakes_in_its_entry_are_told_as_those_of_other_kinds(lab, tmp_path, r
     assert run.err.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("east_azimuth [deg]", "east_azimut [deg]", "east_azimut"),
-        ("east_azimuth [deg]", "east_azimuth [mm]", "unit 'mm'"),
-        ("\n1,", "\n1,x", "'x"),
-    ],
-)
-def test_mistakes_in_its_columns_are_told_as_those_of_other_kinds(lab, run_calib, tmp_path, old, new, said):
-    text = (lab[0] / "data.csv").read_text()
-    assert old in text
-    (tmp_path / "data.csv").write_text(text.replace(old, new, 1))
-    run = run_calib("fit", lab[0] / "arm.yaml", "data.csv", "--out", "out", cwd=tmp_path)
-    assert said in run.refusal()
-    assert not (tmp_path / "out").exists()
-
-
 def test_an_elevation_beyond_straight_up_is_none(lab):
     data = calib.read_measurements(lab[0] / "data.csv", lab[1])
     east = lab[1].instrument("east")

@@ -10,7 +10,7 @@ import pytest
 
 from calib import cli
 from calib.core.base.errors import ComputationError, InputError, NotConvergedError
-from calib.core.commands.common import shared_options, sigma_in_metres, with_values
+from calib.core.commands.common import shared_options, with_values
 from calib.core.commands.program import run_program
 from tests.signed_files import read_plain
 
@@ -140,18 +140,6 @@ def test_every_command_has_help_quiet_and_debug(run_calib, name):
     assert done.out.startswith(f"Usage: calib {name} ")
     for option in ("--quiet", "--debug", "--help"):
         assert option in done.out
-
-
-def test_sigma_is_given_in_millimetres():
-    assert sigma_in_metres(0.04) == pytest.approx(4e-5, rel=1e-15)
-    assert sigma_in_metres(0.0, zero=True) == 0
-    for sigma in (-1.0, float("nan"), float("inf")):
-        with pytest.raises(InputError, match=r"--sigma-mm .*: must be zero or a positive number"):
-            sigma_in_metres(sigma, zero=True)
-        with pytest.raises(InputError, match=r"--sigma-mm .*: must be a positive number"):
-            sigma_in_metres(sigma)
-    with pytest.raises(InputError, match="positive"):
-        sigma_in_metres(0.0)
 
 
 def test_without_a_file_or_a_result_the_robot_stays_nominal(medrue):

@@ -115,6 +115,11 @@ def test_a_check_leads_to_poses_to_measure_or_to_a_fit(robot, data):
     assert "calib fit a.yaml d.csv --validate 0.25" in advice_after_check(assessment, "a.yaml", data, ("d.csv",), {})
     poses = calib.as_poses(robot, data.joints)
     assert "calib select a.yaml d.csv --count 40" in advice_after_check(assessment, "a.yaml", poses, ("d.csv",), {})
+    still = calib.check(robot.fix("reflector.x"), data[[0] * 20])
+    assert still.determination.missing
+    hold = "Next: hold parameters that are named above (`held` in the description), or add poses, and check again: "
+    for given in (poses, data):
+        assert advice_after_check(still, "a.yaml", given, ("d.csv",), {}) == f"{hold}calib check a.yaml d.csv"
 
 
 @pytest.mark.quick(0)

@@ -47,10 +47,6 @@ def test_line_ends_of_every_system_are_read(table_of, ends):
     assert table_of(ends.join(["a,b", "1,2", "3,4"])).column("b", "length").tolist() == [2.0, 4.0]
 
 
-def test_a_byte_order_mark_is_not_part_of_the_first_name(table_of):
-    assert table_of(b"\xef\xbb\xbfa,b\n1,2\n").names == ("a", "b")
-
-
 def test_odd_separators_inside_a_cell_do_not_break_the_line(table_of):
     table = table_of("note,x\nform\x0cfeed\x85next\u2028line,1\n")
     assert tuple(table.lines) == (2,)

@@ -159,30 +159,6 @@ def test_a_hidden_target_costs_its_rows_and_nothing_else(tmp_path):
     np.testing.assert_array_equal(seen, ~hidden[~hidden.all(axis=1)])  # poses without a reading are no part of a fit
 
 
-def test_files_of_two_instruments_joined_by_the_pose_fit_like_one_file(tmp_path):
-    robot, q = calib.load(write_arm(tmp_path, BOTH)), joints(40)
-    read = two_instruments(robot, q, 2e-5, 1e-4)
-    read["arm"][::3] = np.nan
-    whole = calib.as_measurements(robot, q, read, [f"p{k}" for k in range(40)])
-
-    def write(name, header, rows):
-        lines = [",".join([pose, *(repr(float(x)) for x in row)]) for pose, row in rows if np.all(np.isfinite(row))]
-        (tmp_path / name).write_text("\n".join([header, *lines]) + "\n")
-        return tmp_path / name
-
-    poses = [f"p{k}" for k in range(40)]
-    paths = [
-        write("joints.csv", "pose,turn,slide,wrist", zip(poses, q, strict=True)),
-        write("arm.csv", "pose,arm_x,arm_y,arm_z", reversed(list(zip(poses, read["arm"], strict=True)))),
-        write("tracker.csv", "pose,tracker_x,tracker_y,tracker_z", zip(poses, read["tracker"], strict=True)),
-    ]
-    fitted = calib.fit(robot, whole)
-    other = calib.fit(robot, calib.read_measurements(paths, robot))
-    np.testing.assert_allclose(fitted.robot.values, other.robot.values, atol=1e-9)
-    np.testing.assert_allclose(fitted.statistics.std, other.statistics.std, rtol=1e-5)
-    assert other.identification.data.n_readings == 40 + 26
-
-
 MOVED = YAML.replace("frame: ground", "frame: ground, pose: unknown").replace(
     "  - {origin: turn, components: [x, y, z], sigma: 2 mm}\n", ""
 ).replace("[ry, rz]", "[ry]") + "setups: {morning: [], evening: [base]}\n"  # fmt: skip
@@ -213,15 +189,6 @@ def test_a_tracker_that_was_moved_is_found_at_both_places(tmp_path):
     before = fit.identification.table()["before"]["rms"]
     assert 0.05 < before < 5  # each setup is placed: what is left is the robot's own error [mm]
     assert fit.verdict.grade == "PASS"
-
-
-def test_without_its_setups_a_tracker_that_was_moved_spoils_the_fit(tmp_path):
-    robot, q = calib.load(write_arm(tmp_path, MOVED)), joints(60)
-    data = in_setups(robot, q, np.repeat([0, 1], 30), {"base.x": 2.0, "base@evening.x": 2.001})
-    (tmp_path / "one").mkdir()
-    single = calib.load(write_arm(tmp_path / "one", MOVED[: MOVED.index("setups:")]))
-    plain = calib.as_measurements(single, q, data.readings["tip"].values)
-    assert calib.fit(single, plain).sigma > 5 * calib.fit(robot, data).sigma
 
 
 def test_two_readings_of_one_visit_weigh_like_a_reading_of_half_the_variance(tmp_path):

@@ -282,7 +282,7 @@ def assert_holds(result, n):
 
 
 @pytest.mark.quick(1)
-@pytest.mark.parametrize("kind", ["pose", "position", "orientation", "inclinometer", "distance"])
+@pytest.mark.parametrize("kind", ["pose", "position", "orientation", "inclinometer", "distance", "pixel", "touch"])
 def test_intervals_of_every_kind_hold_the_truth_on_an_arm(tmp_path, kind):
     assert_holds(on_the_arm(tmp_path, kind, 50), 50)
 

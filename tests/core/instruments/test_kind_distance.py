@@ -8,7 +8,7 @@ from calib.core.numerics.rigid import centre, common_offset
 from calib.core.rows.observed import predict_readings
 from calib.core.rows.registration import register
 from tests.kind_checks import assert_found, chain_error
-from tests.project import EXAMPLES, copied, write_table
+from tests.project import EXAMPLES, copied
 from tests.six_axis_arm import joints, write_six_axis
 from tests.small_robots import ARM_YAML, write_arm
 
@@ -93,33 +93,6 @@ def test_multilateration_in_space_in_a_plane_and_on_a_line():
     np.testing.assert_allclose(result, [0.7, 0.0, -np.hypot(1.1, 2.0)], atol=1e-12)
 
 
-@pytest.fixture
-def fit_file(tmp_path, run_calib):
-    """Fit a file of three distances and return what was said and the exit code, with (old, new) of the description."""
-
-    def fit(in_yaml=("", "")):
-        robot = calib.load(write_six_axis(tmp_path, YAML))
-        q = joints(30, seed=8)
-        truth = robot.with_parameters(TRUTH)
-        header = [*(f"j{k} [rad]" for k in range(1, 7)), *(f"{name}_distance [mm]" for name in ENDS)]
-        data = write_table(tmp_path / "data.csv", header, q, *(1e3 * v for v in read(truth, q, SIGMA).values()))
-        yaml = YAML.replace(*in_yaml)
-        assert (yaml != YAML) == any(in_yaml)
-        (tmp_path / "arm.yaml").write_text(yaml)
-        run = run_calib("fit", tmp_path / "arm.yaml", data, "--out", tmp_path / "out")
-        assert len(run.err.strip().splitlines()) <= 1
-        return run
-
-    return fit
-
-
-def test_a_file_of_distances_is_fitted(fit_file, tmp_path):
-    run = fit_file()
-    assert run.code == 0, run.err
-    assert "wire_distance" not in run.err
-    assert_found(calib.load(tmp_path / "out"), {"wire.offset": 0.25, "beam_end.y": 1.3}, 1e-3)
-
-
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
@@ -131,9 +104,10 @@ def test_a_file_of_distances_is_fitted(fit_file, tmp_path):
         (("-0.9, 0.1]}", "-0.9, 0.1], sigma: 1 mm}"), "sigma is for a place whose position is unknown"),
     ],
 )
-def test_descriptions_that_cannot_be(fit_file, edit, said):
-    run = fit_file(in_yaml=edit)
-    assert said in run.refusal()
+def test_descriptions_that_cannot_be(tmp_path, run_calib, edit, said):
+    yaml = YAML.replace(*edit)
+    assert yaml != YAML
+    assert said in run_calib("check", write_six_axis(tmp_path, yaml)).refusal()
 
 
 def test_a_negative_distance_is_named(arm):

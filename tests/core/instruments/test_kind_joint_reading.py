@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.rows.observed import observe, predict_readings
+from calib.core.rows.observed import predict_readings
 from tests.kind_checks import assert_found
 from tests.project import EXAMPLES, copied, write_table
 from tests.small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
@@ -57,25 +57,6 @@ def test_a_passive_joint_is_read_as_the_law_of_cosines_says(tmp_path):
     expected = elbows(robot, q) + np.array([0.2, np.radians(10)])
     np.testing.assert_allclose(read["elbow"].values[:, 0], expected[:, 0], atol=1e-11)
     np.testing.assert_allclose(read["other"].values[:, 0], expected[:, 1], atol=1e-11)
-
-
-def test_derivatives_by_the_joints_through_the_loop_of_a_five_bar(tmp_path):
-    robot = five_bar(
-        tmp_path,
-        "  other: {kind: joint_reading, joint: right_elbow}\n  second: {kind: joint_reading, joint: left_motor}\n"
-        "  pen: {kind: position}\n",
-    ).with_parameters(TRUTH)
-    q = poses(robot, 6, 2)
-    readings = predict_readings(robot, robot.assemble(q))
-    by_joint = {
-        name: item.joint_derivative for name, item in observe(robot, robot.assemble(q), readings, joints=True).items()
-    }
-    step = 1e-6
-    for j in range(2):
-        sides = [observe(robot, robot.assemble(q + sign * step * np.eye(2)[j]), readings) for sign in (1, -1)]
-        for name, result in by_joint.items():
-            difference = (sides[0][name].residuals - sides[1][name].residuals) / (2 * step)
-            np.testing.assert_allclose(result[:, :, j], difference, atol=1e-8)
 
 
 def test_a_follower_reads_what_its_leader_does(tmp_path):

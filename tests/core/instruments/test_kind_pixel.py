@@ -15,7 +15,7 @@ from calib.core.instruments.kind import Readings, View
 from calib.core.rows.observed import predict_readings
 from calib.core.rows.registration import register
 from calib.shared.candidates import rows_of_poses
-from tests.kind_checks import assert_covered, assert_found, coverage
+from tests.kind_checks import assert_found
 from tests.six_axis_arm import joints, write_six_axis
 
 _GOLDEN = (1 + 5**0.5) / 2
@@ -189,22 +189,6 @@ def test_the_truth_is_found_with_intrinsics_that_are_not_known(tmp_path):
     fit = calib.fit(robot, data_of(robot, q, photographs(robot.with_parameters(TRUTH), q, camera, body)))
     assert_found(fit.robot, TRUTH, 1e-7)
     assert_found(fit.robot, {"eye.fx": 2400, "eye.fy": 2410}, 0.02)
-
-
-def without_guesses(monkeypatch):
-    """Start from what the robot has: half of a fit's time goes into guesses, which other tests look at."""
-    monkeypatch.setattr("calib.core.instruments.pixel.guesses", lambda result, now, known: [now])
-
-
-@pytest.mark.quick(0)
-@pytest.mark.amount(0, 40)
-def test_95_percent_intervals_hold_the_truth(arm, monkeypatch, amount):
-    without_guesses(monkeypatch)
-    camera, body = places(8)
-    q = joints(60, 8)
-    table, start = photographs(arm.with_parameters(TRUTH), q, camera, body, 6), standing(arm, camera, body)
-    covered = coverage(amount, TRUTH, lambda seed: calib.fit(start, data_of(start, q, table, SIGMA, seed)))
-    assert_covered(covered, amount)
 
 
 def test_what_a_camera_cannot_see_is_no_reading_and_says_nothing(arm):

@@ -103,20 +103,6 @@ def test_a_known_truth_is_found_again(tmp_path):
     assert np.max(np.abs(fit.robot.forward(other, "cell") - truth.forward(other, "cell"))) < 1e-6
 
 
-def test_orientations_make_parameters_surer(tmp_path):
-    stated = YAML.replace("target: cell}", "target: cell, sigma: 0.05 mm, sigma_angle: 0.05 mrad}")
-    robot, q = arm(tmp_path, stated), joints(40, 9)
-    data = calib.simulate(robot, q, None, np.random.default_rng(1))
-    plain = arm(tmp_path, YAML.replace("kind: pose", "kind: position, sigma: 0.05 mm"))
-    points = {"tracker": data.readings["tracker"].values[:, :3]}
-    whole, half = calib.fit(robot, data), calib.fit(plain, calib.as_measurements(plain, q, points))
-    names = [name for name in half.free_names if name in whole.free_names and not name.startswith("cell.r")]
-    std = [dict(zip(fit.free_names, fit.statistics.std, strict=True)) for fit in (whole, half)]
-    assert all(std[0][name] <= std[1][name] * (1 + 1e-9) for name in names)
-    other = joints(100, 12)
-    assert np.mean(half.predict(other).distance) > 1.05 * np.mean(whole.predict(other).distance)
-
-
 @pytest.mark.quick(0)
 @pytest.mark.amount(0, 20)
 def test_intervals_hold_the_truth_with_anisotropic_noise_and_with_errors_shared_by_a_visit(tmp_path, amount):

@@ -93,16 +93,6 @@ def test_patterns_of_very_many_poses_are_judged_on_some_of_them_and_the_claim_on
     assert findings.sample_of_poses(fit) is fit
 
 
-def test_a_gear_error_is_found_at_its_joint(arm):
-    q = joints(80)
-    geared = q.copy()
-    geared[:, 1] += 2e-4 * np.sin(3 * q[:, 1])
-    patterns = significant(fitted(arm, geared))
-    assert (patterns[0].kind, patterns[0].name, patterns[0].detail) == ("wave", "j2", "3 cycles a turn")
-    assert patterns[0].amount == pytest.approx(2e-4, rel=0.1)
-    assert ("joint", "j2") in [(pattern.kind, pattern.name) for pattern in patterns]
-
-
 def test_a_tracker_that_moved_while_measuring_is_found(arm):
     moved = np.zeros((80, 1, 3))
     moved[50:, 0, 1] = 2e-4
@@ -318,14 +308,15 @@ def test_a_target_that_slips_is_found_with_its_size_and_row(arm):
     assert describe(pattern, arm.mechanism.dimensions).startswith(f"from row {row} on, target ball sits")
 
 
-@pytest.mark.parametrize("order", [20, 50])
-def test_a_fast_gear_error_is_found_with_its_cycles_and_height(arm, order):
+@pytest.mark.parametrize("order", [3, 20, 50])
+def test_a_gear_error_is_found_with_its_cycles_and_height(arm, order):
     q = joints(80)
     geared = q.copy()
     geared[:, 1] += 2e-4 * np.cos(order * q[:, 1] + 0.4)
-    pattern = first(fitted(arm, geared))
+    pattern, *others = significant(fitted(arm, geared))
     assert (pattern.kind, pattern.name, pattern.detail) == ("wave", "j2", f"{order} cycles a turn")
-    assert pattern.amount == pytest.approx(2e-4, rel=0.15)
+    assert pattern.amount == pytest.approx(2e-4, rel=0.1)
+    assert order > 3 or ("joint", "j2") in [(other.kind, other.name) for other in others]
     assert "0.01" in describe(pattern, arm.mechanism.dimensions)  # 2e-4 rad are 0.0115 deg
 
 

@@ -105,19 +105,6 @@ def test_places_of_all_setups_are_found_together(tmp_path):
     assert 1e-3 * acceptance.errors.table()["after"]["rms"] == pytest.approx(2e-5 * np.sqrt(3), rel=0.2)
 
 
-@pytest.mark.parametrize(("name", "size"), [("joint_3.ry", 4e-4), ("joint_5.z", -3e-4), ("joint_2.x", 4e-4)])
-def test_a_drift_is_found_with_its_size(arm, name, size):
-    _, truth, fit = arm
-    rng = np.random.default_rng(4)
-    changed = truth.with_parameters({**MOVED, name: value(truth, name) + size})
-    acceptance = verify(fit, measured(changed, rng.uniform(-1.2, 1.2, (30, 6)), rng))
-    assert acceptance.verdict == "drifted"
-    assert name in acceptance.alternative_changes
-    first = next(change for change in acceptance.changes if change.name == name)
-    assert first.value == pytest.approx(size, abs=4 * first.std)
-    assert abs(size) > 4 * first.std
-
-
 def test_no_change_within_its_own_uncertainty_is_called_significant(arm):
     _, truth, fit = arm
     rng = np.random.default_rng(41)
@@ -317,17 +304,6 @@ def test_no_verdict_agrees_while_errors_exceed_their_limit(arm):
         item = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (20, 6)), rng))
         assert item.limit > item.expected_rms
         assert item.verdict != "agrees" or 1e-3 * item.errors.table()["after"]["rms"] <= item.limit
-
-
-def test_millimetres_that_point_elsewhere_than_the_ratio_are_explained(arm):
-    _, truth, fit = arm
-    rng = np.random.default_rng(22)
-    item = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (20, 6)), rng))
-    rms = 1e-3 * item.errors.table()["after"]["rms"]
-    for ratio, expected, explained in ((0.8, 0.6 * rms, True), (1.3, 1.2 * rms, True), (0.8, 1.2 * rms, False)):
-        text = text_report(replace(item, ratio=ratio, expected_rms=expected), (), ())
-        assert ("Judge by the ratio" in text) == explained
-    assert "an unchanged robot exceeds" in text
 
 
 def iso_data(robot, q, approach=None, time=None, comments=()):

@@ -85,16 +85,11 @@ def test_reduced_keeps_singular_values():
     )
 
 
-def test_standard_deviations_are_those_of_least_squares():
-    rows = random_matrix(30, 5, 5)
-    expected = 0.3 * np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
-    np.testing.assert_allclose(information(rows / 0.3).standard_deviations(), expected, rtol=1e-10)
-
-
-def test_correlations_are_those_of_least_squares():
+def test_standard_deviations_and_correlations_are_those_of_least_squares():
     rows = random_matrix(30, 5, 5)
     covariance = np.linalg.inv(rows.T @ rows)
     std = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(information(rows / 0.3).standard_deviations(), 0.3 * std, rtol=1e-10)
     np.testing.assert_allclose(information(rows).correlations(), covariance / np.outer(std, std), rtol=1e-9, atol=1e-10)
 
 

@@ -75,12 +75,6 @@ def test_intervals_of_repeatability_cover_the_true_one(axes):
     assert share > 0.88  # 100 draws: +- 0.04; the shape of the scatter is found from the same cycles
 
 
-def test_intervals_of_angles_and_distances_cover():
-    rng = RNG(7)
-    assert covered(lambda: 0.5 + rng.standard_normal(30), iso9283.mean_of, 0.5) == pytest.approx(0.95, abs=0.02)
-    assert covered(lambda: rng.standard_normal(30), iso9283.three_deviations, 3.0) == pytest.approx(0.95, abs=0.02)
-
-
 def test_intervals_of_distances_between_two_poses_cover():
     """Both ends scatter and are off; what infinitely many cycles would give is drawn from a million."""
     rng = RNG(9)

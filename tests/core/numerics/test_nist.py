@@ -106,15 +106,3 @@ def test_certified_values_and_standard_deviations_come_out_to_six_digits(strd, n
     uncertainty = statistics(span, one_group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool)))
     np.testing.assert_allclose(minimum.x, table[:, 2], rtol=1e-6)
     np.testing.assert_allclose(uncertainty.std, table[:, 3], rtol=1e-6)
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_the_derivatives_written_here_are_right(strd, name):
-    table, _, x = read(strd / f"{name}.dat")
-    b, model = table[:, 2], MODELS[name]
-    jacobian = np.stack(model(b, x)[1], axis=1)
-    for k in range(len(b)):
-        step = np.zeros(len(b))
-        step[k] = 1e-6 * b[k]
-        numeric = (model(b + step, x)[0] - model(b - step, x)[0]) / (2 * step[k])
-        np.testing.assert_allclose(jacobian[:, k], numeric, rtol=1e-5, atol=1e-7 * np.max(np.abs(numeric)))

@@ -1,7 +1,5 @@
 """Ways to closed configurations: far parameters, single poses, limits of another turn, joints without limits."""
 
-import pickle
-import re
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -17,6 +15,7 @@ from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
+from tests.small_robots import edited_five_bar
 
 ANGLES = np.array([unit == "rad" for unit in table1().units])
 
@@ -24,17 +23,6 @@ ANGLES = np.array([unit == "rad" for unit in table1().units])
 @pytest.fixture(scope="module")
 def medrue():
     return calib.load(robot_file())
-
-
-def edited_five_bar(folder, *changes):
-    """The five-bar of the documentation with some of its URDF replaced."""
-    text = (EXAMPLES / "five_bar.urdf").read_text()
-    for old, new in changes:
-        text, count = re.subn(old, new, text)
-        assert count, old
-    (folder / "five_bar.urdf").write_text(text)
-    (folder / "five_bar.yaml").write_text((EXAMPLES / "five_bar.yaml").read_text())
-    return calib.load(folder / "five_bar.yaml")
 
 
 @pytest.mark.quick(0)
@@ -113,10 +101,9 @@ def test_a_last_correction_that_is_not_checked_closes_the_loops(medrue, part, co
     assert np.allclose(moved.singular_values(from_seed), moved.singular_values(moved.assemble(q)), rtol=1e-9)
 
 
-def test_robots_in_use_are_pickled_and_shared_by_threads(medrue):
+def test_robots_in_use_are_shared_by_threads(medrue):
     q = np.array(target_workspace().q)[:60]
     expected = medrue.positions(q)
-    assert np.allclose(pickle.loads(pickle.dumps(medrue)).positions(q), expected, rtol=0, atol=1e-12)
     with ThreadPoolExecutor(4) as threads:
         result = list(threads.map(lambda _: medrue.positions(q), range(8)))
     assert np.allclose(result, [expected] * 8, rtol=0, atol=1e-12)

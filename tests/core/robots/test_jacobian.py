@@ -56,10 +56,3 @@ def test_all_six_components_of_every_origin_agree_with_differences(robot):
         expected = (sides[0] - sides[1]) / (2 * step)
         along = result[:, :, 6 * i : 6 * i + 6] @ direction
         assert relative_error(along[:, :, None], expected[:, :, None]) <= 1e-6, name
-
-
-def test_positions_come_with_the_derivative(robot):
-    q = target_workspace().q[::20]
-    configurations = robot.assemble(q)
-    linear = linearise(robot, configurations)
-    assert np.max(np.abs(linear.positions[:, 0] - forward(q, table1().nominal).p_world_tool)) < 1e-11

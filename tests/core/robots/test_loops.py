@@ -13,7 +13,7 @@ from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
-from tests.urdf_trees import urdf_of
+from tests.small_robots import edited_five_bar
 
 ANGLES = np.array([unit == "rad" for unit in table1().units])
 
@@ -72,44 +72,11 @@ def test_poses_over_the_whole_joint_range_never_come_back_on_a_wrong_branch(robo
     assert np.array_equal(closed.ok, oracle.closes & inside_limits(passive_of(oracle, robot), robot))
 
 
-def test_closures_hold_to_a_picometre(robot):
-    q = target_workspace().q
-    configurations = robot.assemble(q)
-    values, _, _ = residual(robot.mechanism, q, configurations.passive)
-    assert np.max(np.abs(values)) <= 1e-12
-
-
-def test_a_warm_start_gives_the_same_solution_as_a_cold_one(robot):
-    q = target_workspace().q[::7]
-    moved = robot.with_parameters(table1().actual)
-    warm = moved.assemble(q, seed=robot.assemble(q).passive)
-    cold = moved.assemble(q)
-    assert np.max(np.abs(warm.passive - cold.passive)) < 1e-12
-
-
-def test_a_warm_start_from_the_other_branch_is_not_believed(robot):
-    q = target_workspace().q[:20]
-    right = robot.assemble(q).passive
-    mirrored = right.copy()
-    mirrored *= -1  # every elbow bent the other way
-    assert np.max(np.abs(robot.assemble(q, seed=mirrored).passive - right)) < 1e-12
-
-
-DESCRIPTION = """
-urdf: five_bar.urdf
-name_mot: [motor_left, motor_right]
-closed_loop: [[tip_left, tip_right]]
-type: [3d]
-closed_loop_axes: [[x, y]]
-home: {{motor_left: 2.0, motor_right: 1.1415926535897931, elbow_left: {left}, elbow_right: {right}}}
-base: {{frame: ground}}
-targets: {{tip: {{frame: tip_left}}}}
-parametrisation: [{{origin: all, components: [x, y], sigma: 1 mm}}]
-"""
+UNLIMITED = (r'lower="[-\d.]+" upper="[-\d.]+"', 'lower="-6" upper="6"')
 
 
 def elbows(a, b):
-    return [np.array([x + 0.3 * np.cos(q), 0.3 * np.sin(q)]) for x, q in ((-0.1, a), (0.1, b))]
+    return [np.array([x + 0.2 * np.cos(q), 0.2 * np.sin(q)]) for x, q in ((-0.1, a), (0.1, b))]
 
 
 def by_hand(a, b, sign):
@@ -117,33 +84,27 @@ def by_hand(a, b, sign):
     left, right = elbows(a, b)
     across = right - left
     distance = np.linalg.norm(across)
-    height = np.sqrt(0.16 - distance**2 / 4)
+    height = np.sqrt(0.09 - distance**2 / 4)
     return (left + right) / 2 + sign * height * np.array([-across[1], across[0]]) / distance
 
 
 def five_bar(folder, sign):
-    """A planar five-bar about z in the x-y plane, links 0.3 and 0.4, anchors 0.2 apart; its home is on side `sign`."""
-    joints = [
-        ("motor_left", "revolute", "ground", "left", "-0.1 0 0"),
-        ("motor_right", "revolute", "ground", "right", "0.1 0 0"),
-        ("elbow_left", "revolute", "left", "left_end", "0.3 0 0"),
-        ("elbow_right", "revolute", "right", "right_end", "0.3 0 0"),
-        ("tip_left_origin", "fixed", "left_end", "tip_left", "0.4 0 0"),
-        ("tip_right_origin", "fixed", "right_end", "tip_right", "0.4 0 0"),
-    ]
-    urdf = urdf_of(*((*names, f'<origin xyz="{xyz}"/><axis xyz="0 0 1"/>') for *names, xyz in joints))
-    (folder / "five_bar.urdf").write_text(urdf)
-    tip, motors = by_hand(2.0, np.pi - 2.0, sign), (2.0, np.pi - 2.0)
-    left, right = (np.arctan2(*(tip - elbow)[::-1]) - q for elbow, q in zip(elbows(*motors), motors, strict=True))
-    (folder / "five_bar.yaml").write_text(DESCRIPTION.format(left=left, right=right))
-    return calib.load(folder / "five_bar.yaml")
+    """The five-bar of the tutorial without limits; its home is on side `sign`."""
+    robot = edited_five_bar(folder, UNLIMITED)
+    tip = by_hand(*robot.home, sign)
+    left, right = (
+        np.arctan2(*(tip - elbow)[::-1]) - q for elbow, q in zip(elbows(*robot.home), robot.home, strict=True)
+    )
+    path = folder / "five_bar.yaml"
+    path.write_text(re.sub("left_elbow: .*}", f"left_elbow: {left}, right_elbow: {right}}}", path.read_text(), count=1))
+    return calib.load(path)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_a_five_bar_about_another_axis_keeps_the_assembly_mode_of_its_home(tmp_path, sign):
+def test_a_five_bar_about_another_axis_keeps_the_assembly_mode_of_its_home(tmp_path):
+    sign = -1  # the other mode is among the templates
     robot = five_bar(tmp_path, sign)
     rng = np.random.default_rng(3)
-    q = np.array([2.0, np.pi - 2.0]) + rng.uniform(-0.8, 0.8, (300, 2))
+    q = robot.home + rng.uniform(-0.6, 0.6, (300, 2))
     expected = np.array([by_hand(a, b, sign) for a, b in q])
     assert np.max(np.abs(robot.positions(q)[:, 0, :2] - expected)) < 1e-12
 
@@ -154,17 +115,10 @@ def test_the_singular_value_is_that_of_the_angle_between_the_distal_links(tmp_pa
     for a in (2.0, 2.3, 2.6, 2.85):
         q = np.array([a, np.pi - a])
         tip = by_hand(*q, 1)
-        first, second = ((tip - elbow) / 0.4 for elbow in elbows(*q))
-        # columns of C_p / 0.4 are unit vectors across the two links: s^2 = 1 - |cos of the angle between them|
+        first, second = ((tip - elbow) / 0.3 for elbow in elbows(*q))
+        # columns of C_p / 0.3 are unit vectors across the two links: s^2 = 1 - |cos of the angle between them|
         expected = np.sqrt(1 - abs(first @ second))
         assert robot.singular_values(robot.assemble(q))[0] == pytest.approx(expected, rel=1e-9)
-
-
-def example_five_bar(folder, change):
-    """The five-bar of the tutorial with a changed URDF."""
-    (folder / "five_bar.urdf").write_text(change((EXAMPLES / "five_bar.urdf").read_text()))
-    (folder / "five_bar.yaml").write_text((EXAMPLES / "five_bar.yaml").read_text())
-    return calib.load(folder / "five_bar.yaml")
 
 
 @pytest.mark.parametrize("distance", [6e3, 6.4e6])
@@ -174,8 +128,8 @@ def test_a_robot_far_from_the_root_links_origin_closes_and_measures_as_well(tmp_
         '<link name="world"/><joint name="site" type="fixed"><parent link="world"/><child link="table"/>'
         f'<origin xyz="{distance} -500 3" rpy="0.3 0.2 0.7"/></joint><link name="table">'
     )
-    near = example_five_bar(tmp_path, lambda text: text)
-    far = example_five_bar(tmp_path, lambda text: text.replace('<link name="table">', site, 1))
+    near = edited_five_bar(tmp_path)
+    far = edited_five_bar(tmp_path, ('<link name="table">', site))
     q = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", near).joints
     np.testing.assert_allclose(far.assemble(q).passive, near.assemble(q).passive, rtol=0, atol=1e-12)
     np.testing.assert_allclose(far.positions(q), near.positions(q), rtol=0, atol=1e-12)
@@ -184,12 +138,10 @@ def test_a_robot_far_from_the_root_links_origin_closes_and_measures_as_well(tmp_
 def test_loops_of_very_long_links_close_to_their_rounding(tmp_path):
     """Three kilometres of link leave 4e-13 m of rounding in every sum; the angles are those of the small robot."""
 
-    def enlarged(text):
-        return re.sub(
-            r'<origin xyz="(-?[\d.]+) 0 0"/>', lambda result: f'<origin xyz="{1e4 * float(result[1])} 0 0"/>', text
-        )
-
-    small, large = example_five_bar(tmp_path, lambda text: text), example_five_bar(tmp_path, enlarged)
+    small, large = (
+        edited_five_bar(tmp_path),
+        edited_five_bar(tmp_path, (r'<origin xyz="(-?[\d.]+) 0 0"/>', r'<origin xyz="\1e4 0 0"/>')),
+    )
     assert large.mechanism.length == pytest.approx(3000)
     q = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", small).joints
     np.testing.assert_allclose(large.assemble(q).passive, small.assemble(q).passive, rtol=0, atol=1e-11)
@@ -197,8 +149,7 @@ def test_loops_of_very_long_links_close_to_their_rounding(tmp_path):
 
 def test_poses_closed_from_solutions_of_another_assembly_mode_are_in_that_of_home(tmp_path):
     """The pen of a five-bar, mirrored at the line between its elbows by plane geometry: the loop is closed as well."""
-    limits = r'lower="[-\d.]+" upper="[-\d.]+"'
-    robot = example_five_bar(tmp_path, lambda text: re.sub(limits, 'lower="-6" upper="6"', text))
+    robot = edited_five_bar(tmp_path, UNLIMITED)
     q = robot.home + 0.3 * np.random.default_rng(1).uniform(-1, 1, (20, 2))
     known = robot.assemble(q).passive
     left, right = (robot.passive_names.index(f"{side}_elbow") for side in ("left", "right"))

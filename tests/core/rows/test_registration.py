@@ -42,7 +42,6 @@ BASE = {"base.x": 3.0, "base.y": -2.0, "base.z": 1.0, "base.rx": 2.0, "base.ry":
     [
         ("unknown", [("tip", "tool", "known")], BASE),
         ("known", [("tip", "tool", "unknown")], {"tip.x": 0.2, "tip.y": -0.1, "tip.z": 0.05}),
-        ("unknown", [("tip", "tool", "unknown")], BASE | {"tip.x": 0.2, "tip.y": -0.1, "tip.z": 0.05}),
         (
             "unknown",
             [("elbow", "slider", "unknown"), ("tip", "tool", "unknown")],

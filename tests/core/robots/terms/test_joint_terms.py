@@ -141,34 +141,6 @@ def test_commands_undo_the_joint_errors(five_bar):
     assert np.allclose(actual_joints(robot, commands, term_columns(robot, commands)), expected, rtol=0, atol=1e-12)
 
 
-def test_terms_are_recovered_from_exact_data_through_the_loop(five_bar):
-    rng = np.random.default_rng(8)
-    values = five_bar.values.copy()
-    values[five_bar.coefficients] = 2e-4 * rng.standard_normal(values[five_bar.coefficients].shape)
-    q = near_home(five_bar, 150, 9, reach=0.4)
-    truth = five_bar.with_parameters(values)
-    plain = calib.as_measurements(five_bar, q, np.zeros((len(q), 3)))
-    # other code than the engine's terms: joint errors written out, then the robot without terms
-    errors = np.zeros_like(q)
-    coefficients = dict(zip([p.name for p in five_bar.parameters], values, strict=True))
-    for j, name in enumerate(five_bar.joint_names):
-        errors[:, j] = coefficients[f"{name}.gain"] * q[:, j]
-        for order in (1, 17):
-            errors[:, j] += coefficients[f"{name}.sin{order}"] * np.sin(order * q[:, j])
-            errors[:, j] += coefficients[f"{name}.cos{order}"] * np.cos(order * q[:, j])
-        errors[:, j] += coefficients[f"{name}.backlash"] * plain.approach_directions[:, j]
-    bare = five_bar.with_parameters(np.where(np.arange(len(values)) >= five_bar.coefficients.start, 0.0, values))
-    measured = bare.positions(q + errors)[:, 0]
-    fit = calib.fit(five_bar, calib.as_measurements(five_bar, q, measured), sigma=1e-7)
-    assert fit.converged
-    assert np.max(np.abs(fit.identification.errors("after"))) < 1e-6
-    for name in five_bar.joint_names:  # what nothing else in the model can do
-        for term in ("sin17", "cos17", "backlash"):
-            result = fit.robot.values[[p.name for p in five_bar.parameters].index(f"{name}.{term}")]
-            assert result == pytest.approx(coefficients[f"{name}.{term}"], abs=2e-6)
-    assert truth.terms == five_bar.terms
-
-
 @pytest.mark.parametrize(
     ("term", "message"),
     [

@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from calib.core.base.errors import UrdfError
@@ -126,21 +125,6 @@ def test_written_numbers_read_back_to_the_same_float() -> None:
             for joint in urdf.joints
         }
         assert as_asked(parse_urdf(urdf.with_origins(origins))) == origins
-
-
-def test_edit_and_edit_back_restores_the_meaning_of_every_origin() -> None:
-    urdf = read_urdf(URDF)
-    there = urdf.with_origins({"q2": ((1.0, 2.0, 3.0), (0.1, 0.2, 0.3)), "slide": ((0.0,) * 3, (0.0, 0.0, 1e-300))})
-    back = parse_urdf(there).with_origins(as_asked(urdf))
-    assert as_asked(parse_urdf(back)) == as_asked(urdf)
-
-
-def test_pinocchio_sees_the_edited_origin() -> None:
-    xyz, rpy = (0.5, -0.25, 0.125), (0.3, -1.2, 2.5)
-    model = pin.buildModelFromXML(read_urdf(URDF).with_origins({"q4": (xyz, rpy)}).decode())
-    placement = model.jointPlacements[model.getJointId("q4")]
-    assert np.array_equal(placement.translation, xyz)
-    assert np.abs(placement.rotation - pin.rpy.rpyToMatrix(*rpy)).max() < 1e-15  # rounding of one product of rotations
 
 
 def test_random_files_keep_every_byte_outside_the_edited_origins() -> None:

@@ -166,16 +166,17 @@ def _moments(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_Moments
             squares[k] = squares[k] + _squares(square, factors)
             each = product.reshape(len(visits), -1).T @ factors.reshape(len(visits), -1)
             products[k] = products[k] + each.reshape(*product.shape[1:], *factors.shape[1:])
-    widths = np.array([square.shape[-1] for square in squares])
-    for width in dict.fromkeys(widths.tolist()):
-        alike = np.flatnonzero(widths == width).tolist()
-        ordered = [products[k].swapaxes(0, 1).reshape(-1, width, len(squares[k])) for k in alike]
-        whole, square = np.concatenate(ordered, axis=2), np.concatenate([squares[k] for k in alike])
-        absorbed = whole[1:]
+    by_width: dict[int, list[tuple[Effects, FloatArray, FloatArray, FloatArray]]] = {}
+    for effect, square, product in zip(some, squares, products, strict=True):
+        moments = product.swapaxes(0, 1).reshape(-1, square.shape[1], len(square))
+        score, absorbed = moments[0].T, moments[1:]
         if tall:
             absorbed = np.concatenate([np.tensordot(span.root.T, absorbed[:n], 1), absorbed[n:]])
         left = square - np.einsum("rim,rjm->mij", absorbed, absorbed)
-        yield _Moments([(some[k], len(squares[k])) for k in alike], square, left, whole[0].T)
+        by_width.setdefault(square.shape[1], []).append((effect, square, left, score))
+    for alike in by_width.values():
+        arrays = (np.concatenate([each[k] for each in alike]) for k in (1, 2, 3))
+        yield _Moments([(effect, len(score)) for effect, _, _, score in alike], *arrays)
 
 
 def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:

@@ -69,7 +69,6 @@ CORE = (
 SHARED = Room("Shared", None, ("shared",))
 """Needed by several capabilities, and not by the core; so they import it."""
 CAPABILITIES = (
-    SHARED,
     Room("Starting", None, ("starting",)),
     Room("Planning", None, ("planning",)),
     Room("Motion", None, ("motion",)),
@@ -84,6 +83,7 @@ CAPABILITIES = (
     Room("Printers", None, ("printers",)),
     Room("Redundancy", None, ("redundancy",)),
     Room("Quality", None, ("quality",)),
+    SHARED,
 )
 ROOMS = (*CORE, *CAPABILITIES)
 
@@ -159,13 +159,13 @@ def picture() -> Figure:
         floors.setdefault(room.floor, []).append(room)
     y = 1.5
     for rooms in floors.values():
-        y += _floor(axes, rooms, 2.5, 51.0, y, "#e8eef4") + 1.2
+        y += _floor(axes, rooms, 2.5, 41.0, y, "#e8eef4") + 1.2
     top, y = y, 1.5
-    texts = [_wrapped(room.modules, 39.0) for room in CAPABILITIES]
+    texts = [_wrapped(room.modules, 49.0) for room in CAPABILITIES]
     natural = [3.4 + 1.7 * (text.count("\n") + 1) for text in texts]
     spare = (top - 1.5 - sum(natural) - 1.2 * len(natural)) / len(natural)
     for room, text, height in zip(CAPABILITIES[::-1], texts[::-1], natural[::-1], strict=True):
-        _box(axes, 56.0, y, 40.0, height + spare, room.name, text, "#f4efe0")
+        _box(axes, 46.0, y, 50.0, height + spare, room.name, text, "#f4efe0")
         y += height + spare + 1.2
     _box(axes, 2.5, top, 46.0, 5.5, "viz", "viewer, plots, report page", "#fbe9dd")
     _box(axes, 50.0, top, 46.0, 5.5, "medrue", "this robot and the paper's studies", "#e3f1e5")
@@ -173,7 +173,7 @@ def picture() -> Figure:
     axes.set(xlim=(0, 98), ylim=(0, top + 1.5))
     figure.set_figheight(_INCHES * (top + 1.5))
     axes.annotate("", (1.6, 1.5), (1.6, top), arrowprops={"arrowstyle": "->", "color": "#767676"})
-    axes.annotate("", (53.3, top / 2), (55.8, top / 2), arrowprops={"arrowstyle": "->", "color": "#767676"})
+    axes.annotate("", (43.3, top / 2), (45.8, top / 2), arrowprops={"arrowstyle": "->", "color": "#767676"})
     axes.text(1.4, top / 2, "imports", rotation=90, ha="right", va="center", color="#767676", fontsize=8)
     return figure
 

@@ -128,7 +128,7 @@ class Waves(Effects):
         return np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
 
     def detail(self, numbers: IntArray, gains: FloatArray, row: int, margin: float) -> str:
-        """Return all numbers of cycles that explain the residuals as well, in words; arguments as in `Effects`."""
+        """Return all numbers of cycles that explain the residuals as well, in words; see `Effects.detail`."""
         alike = numbers[gains > gains[row] - margin]
         first, last = self.orders[alike[0]], self.orders[alike[-1]]
         if first == last or (last - first == len(alike) - 1 and len(alike) < len(numbers)):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, NamedRows, ReadOnlyArrays, read_only
-from calib.core.base.errors import DescriptionError, ParameterError, require_known
+from calib.core.base.errors import DescriptionError, ParameterError, nearest
 from calib.core.base.parameter import Parameters
 from calib.core.base.units import quantity
 from calib.core.instruments.kind import Instrument
@@ -67,7 +67,7 @@ class RobotData(ReadOnlyArrays):
         """The robot's name in its URDF."""
         return self.urdf.name
 
-    @property
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the actuated joints, in the order of every joint vector."""
         return self.mechanism.actuated
@@ -88,7 +88,7 @@ class RobotData(ReadOnlyArrays):
         """Names of the joints that the loops decide."""
         return self.mechanism.passive
 
-    @property
+    @cached_property
     def target_names(self) -> tuple[str, ...]:
         """Names of the measured points."""
         return tuple(target.name for target in self.mechanism.targets)
@@ -144,10 +144,10 @@ class RobotData(ReadOnlyArrays):
         fleet = self.description.fleet
         return Parameters(parameters if fleet is None else fleet.expected(parameters, self.path))
 
-    @property
+    @cached_property
     def is_free(self) -> BoolArray:
         """Mask of the parameters that a fit may change: all but the held ones, (n_parameters,)."""
-        return np.array([parameter.name not in self.description.held for parameter in self.parameters])
+        return read_only(np.array([parameter.name not in self.description.held for parameter in self.parameters]))
 
     @cached_property
     def n_origin_parameters(self) -> int:
@@ -177,9 +177,10 @@ class RobotData(ReadOnlyArrays):
 
     def instrument(self, name: str) -> Instrument:
         """Return an instrument; an unknown name is a `DescriptionError`."""
-        by_name = {instrument.name: instrument for instrument in self.instruments}
-        require_known(name, by_name, "no instrument", DescriptionError)
-        return by_name[name]
+        found = next((instrument for instrument in self.instruments if instrument.name == name), None)
+        if found is None:
+            raise DescriptionError(f"no instrument '{name}'{nearest(name, [each.name for each in self.instruments])}")
+        return found
 
     @cached_property
     def unknowns(self) -> dict[str, slice]:

@@ -5,7 +5,7 @@ This is the hand-eye problem X^-1 T_printed = T_robot Y (`calib.core.instruments
 Rows with large misses are left out and the rest is aligned again, so that a row of another program does not spoil the
 result.
 
-When it fails. Fewer than three different rotations; more than a third of the rows wrong.
+When it fails. More than a third of the rows wrong.
 """
 
 from __future__ import annotations
@@ -15,11 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
-from calib.core.instruments.hand_eye import rotation_form, solve_poses
+from calib.core.instruments.hand_eye import LEVER, rotation_form, solve_poses
 from calib.core.numerics import linalg
 
-ARM = 0.3
-"""Length of the lever by which a rotation counts as a distance [m]."""
 _ROUNDS = 5
 _FAR = 6.0  # a row is left out if it misses by more than this many times the median miss
 _LEAST = 1e-4  # miss that is never left out [m]
@@ -32,7 +30,7 @@ class Alignment(ReadOnlyArrays):
     Attributes:
         base: X, (4, 4).
         tool: Y, (4, 4).
-        distances: Miss of each row, from distance and rotation by `ARM`, (n,) [m].
+        distances: Miss of each row, from distance and rotation by `LEVER`, (n,) [m].
         kept: Mask of the aligned rows, (n,).
     """
 
@@ -76,7 +74,7 @@ def turns_apart(robot: FloatArray, printed: FloatArray) -> float:
 
 
 def distances(poses: FloatArray, others: FloatArray) -> FloatArray:
-    """Return misses of poses from others (n, 4, 4), from distance and rotation by `ARM`, (n,) [m]."""
+    """Return misses of poses from others (n, 4, 4), from distance and rotation by `LEVER`, (n,) [m]."""
     away = np.sum((poses[:, :3, 3] - others[:, :3, 3]) ** 2, axis=1)
     turned = np.sum((poses[:, :3, :3] - others[:, :3, :3]) ** 2, axis=(1, 2)) / 2.0  # 4 sin^2 of half the angle
-    return np.asarray(np.sqrt(away + ARM**2 * turned))
+    return np.asarray(np.sqrt(away + LEVER**2 * turned))

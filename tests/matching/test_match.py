@@ -134,6 +134,61 @@ def test_of_pairs_on_a_coarse_grid_only_the_lowest_number_of_waves_is_tried(stoc
     assert len(tried[1]) == 6 * 6
 
 
+SCARA = [
+    ("revolute", "0 0 0.2", 1),
+    ("revolute", "0.325 0 0", 1),
+    ("prismatic", "0.275 0 0", -1),
+    ("revolute", "0 0 -0.05", -1),
+]
+"""Kind, origin [m] and direction along z of each joint."""
+
+
+def scara_poses(q: np.ndarray, o: np.ndarray) -> np.ndarray:
+    T = np.tile(np.eye(4), (len(q), 1, 1))
+    for k, (kind, xyz, sign) in enumerate(SCARA):
+        A, Z = np.eye(4), np.tile(np.eye(4), (len(q), 1, 1))
+        A[:3, :3], A[:3, 3] = Rotation.from_rotvec(o[k, 3:]).as_matrix(), np.array(xyz.split(), float) + o[k, :3]
+        if kind == "revolute":
+            Z[:, :3, :3] = Rotation.from_euler("z", sign * q[:, [k]]).as_matrix()
+        else:
+            Z[:, 2, 3] = sign * q[:, k]
+        T = T @ A @ Z
+    return T
+
+
+@pytest.mark.quick(2)
+@pytest.mark.parametrize("lean", [0.0, 1e-6, 1e-3])
+@pytest.mark.parametrize("n", [4, 30])
+def test_a_scara_is_placed_and_its_open_height_is_named(tmp_path: Path, n: int, lean: float) -> None:
+    links = "".join(f"<link name='l{k}'/>" for k in range(5))
+    joints = "".join(
+        f"<joint name='j{k + 1}' type='{kind}'><parent link='l{k}'/><child link='l{k + 1}'/><origin xyz='{xyz}'/>"
+        f"<axis xyz='0 0 {sign}'/><limit lower='-3' upper='3' effort='1' velocity='1'/></joint>"
+        for k, (kind, xyz, sign) in enumerate(SCARA)
+    )
+    (tmp_path / "scara.urdf").write_text(f"<robot name='scara'>{links}{joints}</robot>")
+    rng = np.random.default_rng(3)
+    q = rng.uniform([-2.3, -2.3, 0.0, -3.0], [2.3, 2.3, 0.2, 3.0], (n, 4))
+    o = rng.normal(size=(4, 6)) * [3e-4, 3e-4, 3e-4, lean, lean, 0.0]
+    base, tool = np.eye(4), np.eye(4)
+    base[:3, :3], base[:3, 3] = Rotation.from_rotvec([0.1, 0.2, 2.0]).as_matrix(), [0.5, -0.3, 0.8]
+    tool[:3, :3], tool[:3, 3] = Rotation.from_rotvec([3.0, 0.2, 0.4]).as_matrix(), [0.05, 0.02, 0.1]
+    for origins, most in ((0 * o, 2e-5), (o, 2e-3 + lean)):  # the nominal robot and noise alone; as its maker knows it
+        T = base @ scara_poses(q, origins) @ tool
+        T[:, :3, 3] += 1e-5 * rng.normal(size=(n, 3))
+        angles = Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz", degrees=True)
+        numbers = np.degrees(q) * [1, 1, 0, 1] + 1e3 * q * [0, 0, 1, 0]
+        path = write(
+            tmp_path / "p.csv", "j1,j2,j3,j4,x,y,z,rx,ry,rz", numbers, 1e3 * T[:, :3, 3], angles, digits=(6, 4, 6)
+        )
+        robot = calib.load(tmp_path / "scara.urdf")
+        best = candidates(robot, read_pairs(path, robot.joint_names))[0]
+        assert best.miss < most
+        assert np.linalg.norm((best.aligned.base @ np.linalg.inv(base))[:2, :2] - np.eye(2)) < 5e-3 + 5 * lean
+    with pytest.raises(calib.CalibrationError, match=r"not separable: .*base\.z"):
+        calib.match(tmp_path / "scara.urdf", path)
+
+
 def test_pair_of_another_program_is_named_and_left_out(stock: Path, tmp_path: Path) -> None:
     o, q = origins(), joint_values(1)
     T = poses(q, o)

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.core.data.measurement_files import format_measurements
-from calib.core.instruments.hand_eye import solve_poses
+from calib.core.instruments.hand_eye import solve_poses, solve_rotations
 from calib.core.instruments.kind import View
 from tests.kind_checks import assert_found
 from tests.six_axis_arm import joints, write_six_axis
@@ -84,6 +84,62 @@ def test_both_ends_are_found_in_closed_form():
         result = solve_poses(links, looked, now, known)
         np.testing.assert_allclose(result[0], first, atol=1e-12)
         np.testing.assert_allclose(result[1], second, atol=1e-12)
+
+
+def hand_eye(seed, n, lean, spin, noise=1e-5):
+    """C, M, L_i and A_i with noise [m and rad]; L_i lean by `lean` and turn about one axis by up to `spin` [rad]."""
+    rng = np.random.default_rng(seed)
+    first, second, frame = np.tile(np.eye(4), (3, 1, 1))
+    links, error = np.tile(np.eye(4), (2, n, 1, 1))
+    for pose, turn in zip((first, second, frame), Rotation.random(3, rng), strict=True):
+        pose[:3, :3], pose[:3, 3] = turn.as_matrix(), rng.normal(size=3)
+    turns = np.column_stack([lean * rng.normal(size=(n, 2)), rng.uniform(-spin, spin, n)])
+    links[:, :3, :3], links[:, :3, 3] = Rotation.from_rotvec(turns).as_matrix(), rng.uniform(-1, 1, (n, 3))
+    error[:, :3, :3] = Rotation.from_rotvec(noise * rng.normal(size=(n, 3))).as_matrix()
+    error[:, :3, 3] = noise * rng.normal(size=(n, 3))
+    links = frame @ links
+    return first, second, links, np.linalg.inv(first) @ links @ second @ error
+
+
+def rms_miss(first, second, links, seen):
+    """Root mean square miss, angles by a lever of 0.3 m [m]."""
+    off = np.linalg.inv(seen) @ np.linalg.inv(first) @ links @ second
+    turned = 0.3 * Rotation.from_matrix(off[:, :3, :3]).as_rotvec()
+    return np.sqrt(np.mean(np.sum(off[:, :3, 3] ** 2 + turned**2, axis=1)))
+
+
+@pytest.mark.parametrize("n", [3, 4, 30])
+@pytest.mark.parametrize(
+    ("lean", "spin"), [(0, 3), (1e-6, 3), (1e-3, 3), (0.02, 3), (0, 0.01), (0, 0), (1e-6, 0)], ids=str
+)
+def test_of_parallel_axes_positions_determine_the_turn_about_them(n, lean, spin):
+    now = np.eye(4), np.eye(4)
+    for seed in range(4):
+        first, second, links, seen = hand_eye(seed, n, lean, spin)
+        places = solve_poses(links, seen, now, (False, False))
+        assert rms_miss(*places, links, seen) < 1.01 * rms_miss(first, second, links, seen)
+        _, _, links, seen = hand_eye(seed, n, lean, spin, noise=0.0)
+        assert rms_miss(*solve_poses(links, seen, now, (False, False)), links, seen) < 1e-5
+
+
+def test_rotations_of_an_arm_do_not_depend_on_positions():
+    _, _, links, seen = hand_eye(0, 14, 0.5, 3.0, noise=1e-3)
+    places = solve_poses(links, seen, (np.eye(4), np.eye(4)), (False, False))
+    rotations = solve_rotations(links[:, :3, :3], seen[:, :3, :3])
+    np.testing.assert_allclose([place[:3, :3] for place in places], rotations, rtol=0, atol=1e-9)
+
+
+def test_a_turn_that_no_reading_shows_stays_as_small_as_possible():
+    turned = np.tile(np.eye(4), (10, 1, 1))
+    turned[:, :3, :3] = Rotation.from_rotvec(np.linspace(-2, 2, 10)[:, None] * [0, 0, 1]).as_matrix()
+    first, second, _, _ = hand_eye(1, 3, 0, 0)
+    now = first.copy()
+    first[:3, :3] = Rotation.from_rotvec([0, 0, 1.5]).as_matrix() @ first[:3, :3]  # about the axis of all turns
+    seen = np.linalg.inv(first) @ turned @ second
+    for order in (slice(None), slice(None, None, -1)):  # rounds in another way
+        places = solve_poses(turned[order], seen[order], (now, np.eye(4)), (False, False))
+        np.testing.assert_allclose(places[0][:3, :3], now[:3, :3], rtol=0, atol=1e-3)
+        assert rms_miss(*places, turned[order], seen[order]) < 1e-9
 
 
 def test_the_truth_is_found_from_orientations_with_both_ends_unknown(tmp_path):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from calib.core.rows.candidates import rows_of_poses
 
 import calib
 from calib import fit
@@ -11,6 +10,7 @@ from calib.core.numerics.observability import information
 from calib.core.robots.jacobian import linearise
 from calib.core.rows.unknowns import Unknowns
 from calib.planning.selection import select
+from calib.shared.candidates import rows_of_poses
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

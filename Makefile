@@ -49,7 +49,7 @@ pictures: $(VENV)/.ready
 	$(BIN)/calib fit urdf/medrue.yaml docs/examples/medrue_simulated.csv --validate 0.8 --out out/medrue --quiet
 	$(BIN)/calib fit docs/examples/arm.yaml docs/examples/arm_simulated.csv --validate 0.25 --out out/arm --quiet
 	$(BIN)/calib view docs/examples/arm.yaml --result out/arm --map --html out/medrue/map.html --quiet
-	$(BIN)/python -m viz.screenshots out/medrue --out docs/figures --force
+	$(BIN)/python docs/site/screenshots.py out/medrue --out docs/figures
 
 # Needs the extra `docs`: make ci-packages.
 docs: $(VENV)/.ready

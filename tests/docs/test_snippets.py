@@ -74,6 +74,17 @@ def test_commands_that_are_not_run_here_are_targets_of_the_makefile():
             assert word in targets, f"{page.relative_to(ROOT)}: make {word}"
 
 
+def test_scripts_that_the_makefile_runs_exist_and_have_their_options():
+    lines = re.findall(r"\$\(BIN\)/python (?:-m ([\w.]+)|(\S+\.py))(.*)", (ROOT / "Makefile").read_text())
+    files = [(ROOT / (path or f"{module.replace('.', '/')}.py"), options) for module, path, options in lines]
+    own = [(file, options) for file, options in files if file.stem not in ("pip", "pytest")]
+    assert {file.parent.name for file, _ in own} == {"tests", "benchmarks", "medrue", "site"}
+    for file, options in own:
+        text = file.read_text(encoding="utf-8")
+        for option in re.findall(r"--\w+", options):
+            assert f'"{option}"' in text, f"{file.relative_to(ROOT)}: {option}"
+
+
 def test_every_figure_that_a_page_shows_exists():
     for page in DOCS.rglob("*.md"):
         for target in re.findall(r"!\[[^\]]*\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):

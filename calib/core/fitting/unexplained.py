@@ -25,7 +25,8 @@ The part that rows cannot tell from noise counts as delta, because the noise of 
 (`calib.core.numerics.size_search.scatter_given_noise`). With known noise that part is zero; where all joints move all
 readings alike, as in a gantry, it is most of the residuals.
 Delta is no larger than if it alone explained the residuals. A reading at a pose has the noise beside delta
-(`reading_noise`): the found noise contains both.
+(`reading_noise`): the found noise contains both. With a robust loss it is the found noise, as weighted
+residuals are smaller than noise.
 Delta is no part of the covariance of parameters, which is found from the same residuals. Of very many poses, a part
 determines it.
 
@@ -88,7 +89,8 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
     if at is None:
         return UnexplainedErrors(found)
     delta, noise = scatter_given_noise(at), found
-    if delta > 0.0 and delta >= np.exp(at.logs[-1]):  # noise of a shape of its own looks like errors of joints
+    whole = np.all(fit.weights == 1.0)  # else residuals are smaller than noise
+    if whole and delta > 0.0 and delta >= np.exp(at.logs[-1]):  # noise of own shape looks like errors of joints
         noise = np.minimum(found, noise_given_scatter(at, delta) * units * [group.typical for group in groups])
     return UnexplainedErrors(noise, delta, _shown(model, kinds, at))
 

@@ -212,7 +212,10 @@ def _sums_of_visits(base: FloatArray, others: FloatArray, firsts: IntArray | int
     if isinstance(firsts, int):  # without the products: a tenth of the time
         each = base.reshape(-1, firsts, base.shape[1]).transpose(0, 2, 1)
         return np.matmul(each, others.reshape(-1, firsts, others.shape[1]))
-    return np.asarray(np.add.reduceat(base[:, :, None] * others[:, None, :], firsts))
+    result = np.empty((len(firsts), base.shape[1], others.shape[1]))
+    for k, column in enumerate(base.T):  # all products at once take much memory
+        result[:, k] = np.add.reduceat(column[:, None] * others, firsts)
+    return result
 
 
 def _tests(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_EffectTests]:

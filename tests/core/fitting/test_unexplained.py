@@ -188,6 +188,15 @@ def test_a_term_that_the_model_lacks_counts_where_noise_is_not_stated(silent_arm
     assert 0.7 < min(ratios) < max(ratios) < 1.3
 
 
+def test_a_robust_loss_does_not_make_the_noise_of_readings_smaller():
+    """Weights make residuals smaller; noise from these would be a quarter too small, and good poses outliers."""
+    robot, rng = example("arm"), np.random.default_rng(100)
+    data = calib.simulate(robot, rng.uniform(-2.0, 2.0, (60, 6)), seed=100, sigma=5e-5)
+    fit = calib.fit(robot, data, loss="cauchy")
+    assert fit.joint_error > 0.0
+    assert fit.reading_noise[0] == pytest.approx(5e-5, rel=0.15)
+
+
 def test_what_rows_cannot_tell_from_noise_counts_as_errors_of_joints():
     """A gantry: three joints move every reading alike, in all directions."""
     rng, n = np.random.default_rng(9), 40

@@ -1,4 +1,5 @@
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -371,3 +372,17 @@ def test_no_range_of_cycles_is_named_that_is_all_that_were_tried(arm):
     waves = [p.detail for p in fitted(arm, geared, n=11).patterns if p.kind == "wave"]
     assert waves
     assert all(not detail.startswith(("1 to ", "2 to ")) for detail in waves)
+
+
+def test_sums_over_visits_of_unequal_length_take_no_more_memory_with_more_columns_of_effects():
+    rng = np.random.default_rng(7)
+    lengths = rng.integers(3, 12, size=300)
+    firsts, n = np.cumsum(np.append(0, lengths[:-1])), int(np.sum(lengths))
+    base, others = rng.normal(size=(n, 40)), rng.normal(size=(n, 50))
+    tracemalloc.start()
+    sums = residual_patterns._sums_of_visits(base, others, firsts)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    visits = np.split(np.arange(n), firsts[1:])
+    assert np.allclose(sums, [base[rows].T @ others[rows] for rows in visits], rtol=1e-12, atol=1e-12)
+    assert peak < 2.5 * sums.nbytes + 2 * others.nbytes  # all products at once: seven times as much as the sums

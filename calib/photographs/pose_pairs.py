@@ -114,7 +114,13 @@ class PosePairs(ReadOnlyArrays):
 def solve_pairs(
     names: Sequence[str], tool: FloatArray, seen: FloatArray, mounts: tuple[Mount, ...] = ("tool", "base")
 ) -> PosePairs:
-    """Return the poses of camera and marker from named pairs: tool in base, and marker in camera, (n, 4, 4) [m] each.
+    """Return the poses of camera and marker.
+
+    Args:
+        names: Names of the pairs.
+        tool: The tool in the base, (n, 4, 4) [m].
+        seen: The marker in the camera, (n, 4, 4) [m].
+        mounts: Possible mounts of the camera.
 
     Raises:
         DataError: Too few pairs, or equal poses of the tool in all.

@@ -24,8 +24,12 @@ _IMPROVED = 1000  # largest number of poses for which the path is improved
 
 
 def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
-    """Return the length of a path from home (n_actuated,) through poses (n, n_actuated) in an order (n,) [joint
-    ranges].
+    """Return the length of a path from home through the poses [joint ranges].
+
+    Args:
+        joints: Poses, (n, n_actuated) [m or rad].
+        home: Start of the path, (n_actuated,) [m or rad].
+        order: Poses in the order of visiting, (n,).
     """
     points = _points(joints, home)
     path = np.concatenate([[0], np.asarray(order, dtype=np.intp) + 1])
@@ -33,16 +37,25 @@ def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
 
 
 def distances_from(joints: FloatArray, start: FloatArray) -> FloatArray:
-    """Return the distance of each pose, (n, n_actuated), from joint values (n_actuated,), as (n,) [joint ranges]."""
+    """Return the distance of each pose from the present pose of the robot, (n,) [joint ranges].
+
+    Args:
+        joints: Poses, (n, n_actuated) [m or rad].
+        start: Present joint values of the robot, (n_actuated,) [m or rad].
+    """
     points = _points(joints, start)
     return np.asarray(np.max(np.abs(points[1:] - points[0]), axis=1))
 
 
 def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> IntArray:
-    """Return an order of visiting poses (n, n_actuated) from home that is short and goes block by block, (n,).
+    """Return an order of visiting that is short and goes block by block, (n,).
 
-    A block is measured without a change by hand, such as of an instrument or its place; blocks (n,) are numbers that
-    ascend in the order of measurement.
+    A block is measured without a change by hand, such as of an instrument or its place.
+
+    Args:
+        joints: Poses, (n, n_actuated) [m or rad].
+        home: Start of the path, (n_actuated,) [m or rad].
+        block: Number of the block of each pose, (n,), ascending in the order of measurement.
     """
     order, start = [], home
     for number in np.unique(block):

@@ -103,10 +103,15 @@ def build_problem(
     task_rows: FloatArray | None = None,
     n_task: int | None = None,
 ) -> SelectionProblem:
-    """Whiten candidates: scaled Jacobians (n_candidates, 3 n_targets, n_parameters) [m].
+    """Whiten candidates.
 
-    Measured poses and priors have rows (n_rows, n_parameters) [m]. Task rows are the Jacobian at positions whose
-    accuracy counts, (..., n_parameters) [m], or its R; they are of `n_task` positions, by default a third of the rows.
+    Args:
+        rows: Scaled Jacobian of each candidate, (n_candidates, 3 n_targets, n_parameters) [m].
+        measured: Rows of the measured poses, (n_rows, n_parameters) [m].
+        priors: Rows of the priors, (n_priors, n_parameters) [m].
+        n_before: Number of measured poses.
+        task_rows: Scaled Jacobian at the positions whose accuracy counts, (..., n_parameters) [m], or its R.
+        n_task: Number of these positions; default: a third of the rows.
     """
     width = rows.shape[2]
     measured = np.zeros((0, width)) if measured is None else measured

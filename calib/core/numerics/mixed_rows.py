@@ -11,6 +11,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import blocks_of_equal_length
+from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior import Prior
 
@@ -98,12 +99,12 @@ class FamilyPart(ReadOnlyArrays):
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
             lengths[lengths == 0.0] = 1.0
-            values, vectors = _principal(columns / lengths)
-            seen = values > _UNSEEN**2 * values[-1]
-            kept = vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None]
+            _, values, vectors = linalg.svd(reduce_rows(columns / lengths), full_matrices=False)
+            seen = values > _UNSEEN * values[0]
+            kept = vectors[seen].T / values[seen] / lengths[:, None]
             return FamilyPart(members, kept, family)
         values, vectors = _principal(columns)
-        seen = values > max(aside**2 * values[-1], least**2 if family >= 0 else 0.0)
+        seen = values > (max(aside**2 * values[-1], least**2) if family >= 0 else _UNSEEN**2 * values[-1])
         return FamilyPart(members, vectors[:, seen], family)
 
 

@@ -37,10 +37,11 @@ products of matrices (gilmour1995): with M the derivatives dW Q y, 1/2 M^T Q M.
 
 With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B.
 
-Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Components
-of a family below a ten-thousandth of the largest are dropped: rows do not see them. With a least length, so are those
-that move all rows together by less than a part of the noise: of a coefficient u ~ N(0, 1) whose column has the length
-l, rows decide l^2 / (1 + l^2) of its variance. So a solution omits components that are too short with its sizes.
+Components. Columns of a family are replaced by their principal components, and flat ones by orthonormal columns of the
+same span. Components below a ten-thousandth of the largest are dropped: rows do not see them. With a least length, so
+are those that move all rows together by less than a part of the noise: of a coefficient u ~ N(0, 1) whose column has
+the length l, rows decide l^2 / (1 + l^2) of its variance. So a solution omits components that are too short with its
+sizes.
 
 Rounding. R is found from A by Cholesky. What only noisy rows or priors decide is lost in A beside rows that are 1e8
 times as long. Where pivots show this, R is found by QR of the rows, the longest first.
@@ -151,8 +152,7 @@ class MixedModel(ReadOnlyArrays):
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
         scale = np.append(families, [1.0, 1.0])[self.family]  # the appended entries are for families -2 and -1
         if seen is None:
-            least = _LEAST_EFFECT * np.sqrt(np.min(variance))
-            seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > least))
+            seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _LEAST_EFFECT))
         root = np.sqrt(variance)
         z, y = self.whiten_columns(seen, scale, variance), self.y / root
         prior = self.has_prior[seen]

@@ -94,7 +94,7 @@ class FamilyPart(ReadOnlyArrays):
     ) -> FamilyPart:
         """Return the part of the columns of a family, (n_rows, n).
 
-        Components are dropped if they are shorter than `least`, or than the part `aside` of the longest.
+        Components of a family are dropped if they are shorter than `least`, or than the part `aside` of the longest.
         """
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
@@ -103,8 +103,10 @@ class FamilyPart(ReadOnlyArrays):
             seen = values > _UNSEEN * values[0]
             kept = vectors[seen].T / values[seen] / lengths[:, None]
             return FamilyPart(members, kept, family)
+        if family == KNOWN:
+            return FamilyPart(members, np.eye(len(members)), family)
         values, vectors = _principal(columns)
-        seen = values > (max(aside**2 * values[-1], least**2) if family >= 0 else _UNSEEN**2 * values[-1])
+        seen = values > max(aside**2 * values[-1], least**2)
         return FamilyPart(members, vectors[:, seen], family)
 
 

@@ -61,7 +61,7 @@ from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
-from calib.core.numerics.mixed_rows import FLAT, MixedRows, SeenColumns
+from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows, SeenColumns
 from calib.core.numerics.statistics import require_freedom
 
 _LEAST = -6.0  # logarithm of the least size of a family
@@ -78,6 +78,7 @@ _CONVERGED = 0.03  # last step of the logarithm of a noise
 _FLAT_COST = 1e-6  # largest slope of a cost that no longer falls
 _GAIN = 5e-4  # least fall of the cost for which a search continues, if not given
 _FINE_GAIN = 1e-8  # the same of a search of noise alone, whose steps are quick
+_RIDGE = 5e-3  # added to the information, or less where small gains count: a flat cost is left slowly
 _NEAR = 1.0  # after a smaller fall of the cost, the same columns have coefficients
 _ROUNDS = 80
 
@@ -154,11 +155,12 @@ def find_sizes(
     every = MixedRows.from_linear_problem(linear, family, ~sought, np.arange(len(rows)), none)
     mixed = MixedModel.from_rows(replace(every, present=np.arange(len(sizes))))
     total = int(np.sum(counts))
-    require_freedom(float(total - np.count_nonzero(mixed.family == FLAT)), total)
+    left = float(total - np.count_nonzero(mixed.family == FLAT))
+    require_freedom(left, total)
     begin = np.log(np.append(sizes, start[sought])) if np.any(mixed.has_prior) else None
     at = likeliest_sizes(mixed, begin, least_gain=_GAIN if len(sizes) else _FINE_GAIN)
     found, noise, _ = mixed.sizes(at.logs)
-    require_freedom(float(np.sum(at.squares_and_freedom[1])), total)
+    require_freedom(left - at.freedom(np.array([KNOWN])), total)  # families explain every exact row
     return np.where(sought, noise, start), found
 
 
@@ -223,7 +225,7 @@ def _try_step(
     inner = information[np.ix_(free, free)]
     while True:
         step = np.zeros(len(gradient))
-        damped = inner + np.diag(damping * np.diag(inner) + 10.0 * least_gain)
+        damped = inner + np.diag(damping * np.diag(inner) + min(_RIDGE, 10.0 * least_gain))
         step[free] = -np.linalg.solve(damped, gradient[free])
         if not -gradient @ step >= 2.0 * least_gain:  # also where it is no number
             return None, damping

@@ -233,11 +233,12 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     unknowns = problem.unknowns
     first = [int(np.argmax(unknowns.family == k)) for k in range(len(unknowns.families))]
     sizes = unknowns.scales[first] / problem.robot.parameters.sigma_si[unknowns.index[first]]
-    if len(sizes):
-        model: LinearModel = problem.rows(evaluation, groups, unknowns.rescale_families(1.0 / sizes))
-    else:
-        model = problem.compressed(evaluation, groups, unknowns)
-    scales, found = find_sizes(model, problem.noise_found, unknowns.family, sizes)
+    stated = np.ones(len(groups))
+    if not len(sizes):
+        model: LinearModel = problem.compressed(evaluation, stated, unknowns)
+        return find_sizes(model, groups, problem.noise_found, unknowns.family, sizes)
+    model = problem.rows(evaluation, groups, unknowns.rescale_families(1.0 / sizes))  # noise decides what rows see
+    scales, found = find_sizes(model, stated, problem.noise_found, unknowns.family, sizes)
     return np.maximum(groups * scales, EXACT / 10), found / sizes
 
 

@@ -37,10 +37,14 @@ products of matrices (gilmour1995): with M the derivatives dW Q y, 1/2 M^T Q M.
 
 With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B.
 
-Components. Columns of a family, and those whose prior is known, are replaced by their principal components. Components
-below a ten-thousandth of the largest are dropped: rows do not see them. With a least length, so are components of a
-family that move all rows together by less than a part of the noise: of a coefficient u ~ N(0, 1) whose column has the
-length l, rows decide l^2 / (1 + l^2) of its variance. So a solution omits components that are too short with its sizes.
+Components. Columns of a family are replaced by their principal components, and flat ones by orthonormal columns of the
+same span. Components below a ten-thousandth of the largest are dropped: rows do not see them. With a least length, so
+are those that move all rows together by less than a part of the noise: of a coefficient u ~ N(0, 1) whose column has
+the length l, rows decide l^2 / (1 + l^2) of its variance. So a solution omits components that are too short with its
+sizes.
+
+Rounding. R is found from A by Cholesky. What only noisy rows or priors decide is lost in A beside rows that are 1e8
+times as long. Where pivots show this, R is found by QR of the rows, the longest first.
 
 Another row, of derivatives b by the components, has the variance  b S A^-1 S b^T + d^2 |h|^2.
 
@@ -62,12 +66,12 @@ import scipy
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import blocks_of_equal_length, shifts_without_block
-from calib.core.numerics.identifiability import inverse_of_triangle, square_of_triangle
+from calib.core.numerics.identifiability import inverse_of_triangle, reduce_rows, square_of_triangle
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows, coefficients_of
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
 _LEAST_EFFECT = 0.02  # a solution omits a coefficient that moves all rows together by less than this part of the noise
-_RIDGE = 1e-12  # a matrix that rounding might make singular gets this part of its diagonal added
+_LOST = 1e-8  # with pivots below this part of the diagonal, products of rows have lost what a QR factor of rows keeps
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,15 +155,23 @@ class MixedModel(ReadOnlyArrays):
             seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _LEAST_EFFECT))
         root = np.sqrt(variance)
         z, y = self.whiten_columns(seen, scale, variance), self.y / root
-        matrix, prior = z.T @ z, self.has_prior[seen]  # a product with its own transpose: half of the work
-        matrix[np.diag_indices_from(matrix)] += prior + _RIDGE * np.diag(matrix)
-        upper = scipy.linalg.cholesky(matrix.T, overwrite_a=True, check_finite=False)  # LAPACK's order: not copied
-        v = scipy.linalg.cho_solve((upper, False), z.T @ y, check_finite=False)
+        prior = self.has_prior[seen]
+        matrix: FloatArray = z.T @ z  # a product with its own transpose: half of the work
+        np.einsum("ii->i", matrix)[:] += prior
+        diagonal = np.diagonal(matrix).copy()
+        upper, failed = scipy.linalg.lapack.dpotrf(matrix.T, overwrite_a=1)  # LAPACK's order: not copied
+        if failed or np.any(np.diagonal(upper) ** 2 < _LOST * diagonal):
+            rows = np.vstack([np.column_stack([z, y]), np.eye(len(seen), len(seen) + 1)[prior > 0.0]])
+            matrix = reduce_rows(rows[np.argsort(-np.linalg.norm(rows, axis=1), kind="stable")])[: len(seen)]
+            upper = matrix[:, :-1]
+            v = scipy.linalg.solve_triangular(upper, matrix[:, -1], check_finite=False)
+        else:
+            v = scipy.linalg.cho_solve((upper, False), z.T @ y, check_finite=False)
         left = y - z @ v
-        determinant = 2.0 * float(np.sum(np.log(np.diag(upper)))) + float(self.rows.stands_for @ np.log(variance))
+        determinant = 2.0 * np.sum(np.log(np.abs(np.diag(upper)))) + self.rows.stands_for @ np.log(variance)
         cost = float(np.sum(left**2) + np.sum(prior * v**2))
         hold(matrix, upper)  # of which `upper` is a view
-        solved = SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (determinant + cost))
+        solved = SolvedModel(self, logs, scale, seen, variance, upper, v, left, 0.5 * (float(determinant) + cost))
         vars(solved)["z"] = z  # the derivatives need z next
         return solved
 

@@ -11,6 +11,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import blocks_of_equal_length
+from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.prior import Prior
 
@@ -93,17 +94,19 @@ class FamilyPart(ReadOnlyArrays):
     ) -> FamilyPart:
         """Return the part of the columns of a family, (n_rows, n).
 
-        Components are dropped if they are shorter than `least`, or than the part `aside` of the longest.
+        Components of a family are dropped if they are shorter than `least`, or than the part `aside` of the longest.
         """
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
             lengths[lengths == 0.0] = 1.0
-            values, vectors = _principal(columns / lengths)
-            seen = values > _UNSEEN**2 * values[-1]
-            kept = vectors[:, seen] / np.sqrt(values[seen]) / lengths[:, None]
+            _, values, vectors = linalg.svd(reduce_rows(columns / lengths), full_matrices=False)
+            seen = values > _UNSEEN * values[0]
+            kept = vectors[seen].T / values[seen] / lengths[:, None]
             return FamilyPart(members, kept, family)
+        if family == KNOWN:
+            return FamilyPart(members, np.eye(len(members)), family)
         values, vectors = _principal(columns)
-        seen = values > max(aside**2 * values[-1], least**2 if family >= 0 else 0.0)
+        seen = values > max(aside**2 * values[-1], least**2)
         return FamilyPart(members, vectors[:, seen], family)
 
 

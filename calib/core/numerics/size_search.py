@@ -21,8 +21,9 @@ the first term for a size that rows show, the second for a size that they exclud
 s^2 / 2, which stays finite), the third for the prior. Noise and d have no prior. In its place, a third term comes from
 the value that would explain all residuals, which neither exceeds.
 
-Noise alone. Scales of groups of rows are sizes without families. Their search begins with one step of Förstner's
-iteration: each squared scale becomes the squared residuals of its group over their degrees of freedom.
+Noise alone. Scales of groups of rows are sizes without families. Without priors, their search begins with what the
+columns leave of the rows of each group, unweighted: for one group this is the answer. With priors, which may explain
+the same residuals as noise does, it begins with given scales. The scale of exact rows falls to rounding.
 
 Uncertainty of found sizes. Coefficients of a family f have the prior u ~ N(0, a_f^2) in units of their sigma. The
 covariance C = (J^T J + P)^-1 holds for a known size. If it was found from the same data, with logarithm N(log a, V),
@@ -44,7 +45,7 @@ and in 95 % with it (`docs/theory/joint_terms.md`). It fails for sizes that are 
 When it fails. Two families of similar columns share their effect, or one has all of it: the posterior has two maxima,
 and this finds one.
 
-Reference: gelman2006; chung2013; foerstner1979; kass1989; patterson1971.
+Reference: gelman2006; chung2013; kass1989; patterson1971.
 """
 
 from __future__ import annotations
@@ -56,16 +57,17 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
+from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
-from calib.core.numerics.mixed_rows import FLAT, MixedRows, SeenColumns
+from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows, SeenColumns
 from calib.core.numerics.statistics import require_freedom
 
 _LEAST = -6.0  # logarithm of the least size of a family
 _MOST = 4.0
 _LEAST_PART = 1e-3  # least noise and scatter, over what would explain all residuals
-_LEAST_ALONE = 1e-10  # the same of noise where nothing scatters: all that families leave is noise then
+_LEAST_ALONE = EXACT / 10.0  # least noise where nothing scatters: all that families leave is noise then [SI]
 _SMALL = 0.1  # a falling size is set to its bound below this part of the start of the search
 _AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _OTHERS = 3.0  # difference of logarithms between the largest noise and what the flat columns leave of its rows alone
@@ -76,6 +78,7 @@ _CONVERGED = 0.03  # last step of the logarithm of a noise
 _FLAT_COST = 1e-6  # largest slope of a cost that no longer falls
 _GAIN = 5e-4  # least fall of the cost for which a search continues, if not given
 _FINE_GAIN = 1e-8  # the same of a search of noise alone, whose steps are quick
+_RIDGE = 5e-3  # added to the information, or less where small gains count: a flat cost is left slowly
 _NEAR = 1.0  # after a smaller fall of the cost, the same columns have coefficients
 _ROUNDS = 80
 
@@ -120,7 +123,7 @@ def likeliest_sizes(
 
 
 def find_sizes(
-    model: LinearModel, sought: BoolArray, family: IntArray, sizes: FloatArray
+    model: LinearModel, start: FloatArray, sought: BoolArray, family: IntArray, sizes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Find scales of groups of rows, and sizes of families, without scatter.
 
@@ -128,7 +131,8 @@ def find_sizes(
     and a step of the search takes no longer where there are more of them.
 
     Args:
-        model: The rows, whitened by the noise as far as it is known.
+        model: The rows, whitened by the stated noise, or in addition by known scales.
+        start: Scales of the rows of `model` to start from, (n_groups,); they matter only if there are priors.
         sought: Mask of the groups whose scales are to be found, (n_groups,); the others have the scale 1.
         family: Family of each parameter, -1 for none, (n_free,).
         sizes: Sizes to start from, over the expected ones, (n_families,); empty where there are no families.
@@ -139,26 +143,25 @@ def find_sizes(
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
-    seen, counts = SeenColumns.from_rows(model.jacobian, model.prior, family), model.layout.counts
-    columns, groups = seen.combine(model.jacobian), np.arange(len(counts))
-    few = [reduce_rows(columns[own], model.residuals[own]) for own in (model.layout.group == g for g in groups)]
-    rows, group = np.vstack(few), np.repeat(groups, [len(own) for own in few])
-    linear = LinearModel(
-        rows[:, -1], rows[:, :-1], seen.prior, seen.combine(model.deviations), RowGroups(group, counts)
-    )
-    sought = sought & (counts > 0)
-    none = np.zeros((len(rows), 0))
-    every = MixedRows.from_linear_problem(linear, seen.family, ~sought, np.arange(len(rows)), none)
+    counts, group = model.layout.counts, model.layout.group
+    if len(sizes):  # fewer columns first: all rows have many columns of families
+        seen = SeenColumns.from_rows(model.jacobian, model.prior, family)
+        columns, deviations = seen.combine(model.jacobian), seen.combine(model.deviations)
+        model, family = LinearModel(model.residuals, columns, seen.prior, deviations), seen.family
+    few = [reduce_rows(model.jacobian[own], model.residuals[own]) for own in (group == g for g in range(len(counts)))]
+    rows, layout = np.vstack(few), RowGroups(np.repeat(np.arange(len(counts)), [len(own) for own in few]), counts)
+    linear = replace(model, residuals=rows[:, -1], jacobian=rows[:, :-1], layout=layout)
+    sought, none = sought & (counts > 0), np.zeros((len(rows), 0))
+    every = MixedRows.from_linear_problem(linear, family, ~sought, np.arange(len(rows)), none)
     mixed = MixedModel.from_rows(replace(every, present=np.arange(len(sizes))))
-    require_freedom(float(np.sum(counts)) - np.count_nonzero(mixed.family == FLAT), int(np.sum(counts)))
-    begin = np.append(np.log(sizes), np.zeros(np.count_nonzero(sought)))
-    if not len(sizes):
-        squares, freedom = mixed.solve(begin).squares_and_freedom
-        begin = 0.5 * np.log((squares + _NOTHING) / np.maximum(freedom, _LEAST_FREEDOM))[sought]
+    total = int(np.sum(counts))
+    left = float(total - np.count_nonzero(mixed.family == FLAT))
+    require_freedom(left, total)
+    begin = np.log(np.append(sizes, start[sought])) if np.any(mixed.has_prior) else None
     at = likeliest_sizes(mixed, begin, least_gain=_GAIN if len(sizes) else _FINE_GAIN)
     found, noise, _ = mixed.sizes(at.logs)
-    require_freedom(float(np.sum(at.squares_and_freedom[1])), int(np.sum(counts)))
-    return noise, found
+    require_freedom(left - at.freedom(np.array([KNOWN])), total)  # families explain every exact row
+    return np.where(sought, noise, start), found
 
 
 def scatter_given_noise(at: SolvedModel) -> float:
@@ -222,7 +225,7 @@ def _try_step(
     inner = information[np.ix_(free, free)]
     while True:
         step = np.zeros(len(gradient))
-        damped = inner + np.diag(damping * np.diag(inner) + 5e-3)
+        damped = inner + np.diag(damping * np.diag(inner) + min(_RIDGE, 10.0 * least_gain))
         step[free] = -np.linalg.solve(damped, gradient[free])
         if not -gradient @ step >= 2.0 * least_gain:  # also where it is no number
             return None, damping
@@ -262,11 +265,13 @@ class _Bounds(ReadOnlyArrays):
 
     Attributes:
         least: A value that is as good as zero.
+        first: Start of a search.
         most: For a family much more than expected; for scatter the value that explains all that flat columns leave;
             for noise too, by the rows less the flat columns, or more where other groups may decide these columns.
     """
 
     least: FloatArray
+    first: FloatArray
     most: FloatArray
 
     @staticmethod
@@ -280,16 +285,14 @@ class _Bounds(ReadOnlyArrays):
         ]
         if model.scatters:
             squares.append(float(np.mean(left**2)) / max(float(np.mean(model.spread)), _NOTHING))
-        most = 0.5 * np.log(np.array(squares) + _NOTHING)
-        families = np.ones(model.n_families)
-        least = most + np.log(_LEAST_PART if model.scatters else _LEAST_ALONE)
-        most += 0.0 if model.scatters else _OTHERS
-        return _Bounds(np.append(_LEAST * families, least), np.append(_MOST * families, most))
-
-    @property
-    def first(self) -> FloatArray:
-        """Start of a search."""
-        return np.where(self.most == _MOST, np.log(0.5), self.most - 1.0)
+        left_by_flat = 0.5 * np.log(np.array(squares) + _NOTHING)
+        if model.scatters:
+            least, first, most = left_by_flat + np.log(_LEAST_PART), left_by_flat - 1.0, left_by_flat
+        else:
+            least = np.full(len(squares), np.log(_LEAST_ALONE))
+            first, most = left_by_flat, np.maximum(left_by_flat + _OTHERS, least)
+        families = ([value] * model.n_families for value in (_LEAST, np.log(0.5), _MOST))
+        return _Bounds(*map(np.append, families, (least, first, most)))
 
 
 def _cost(at: SolvedModel) -> float:

@@ -75,7 +75,7 @@ def test_intervals_of_families_that_are_hardly_seen_hold():
             np.zeros(36),
             RowGroups.from_groups(np.zeros(60, dtype=int), 1),
         )
-        sizes = find_sizes(model, np.array([False]), family, np.ones(3))[1][family]
+        sizes = find_sizes(model, np.ones(1), np.array([False]), family, np.ones(3))[1][family]
         covariance = np.linalg.inv((jacobian * sizes).T @ (jacobian * sizes) + np.eye(36))
         u = -covariance @ (jacobian * sizes).T @ model.residuals
         total = covariance + variance_by_sizes(covariance, family, u)
@@ -96,7 +96,7 @@ def test_what_rows_do_not_see_of_a_family_says_nothing_about_its_size():
         n = jacobian.shape[1]
         rows = RowGroups.from_groups(np.zeros(40, dtype=int), 1)
         model = LinearModel(residuals, jacobian, Prior(np.ones(n, dtype=bool)), np.zeros(n), rows)
-        found.append(find_sizes(model, np.array([True]), np.zeros(n, dtype=int), np.ones(1)))
+        found.append(find_sizes(model, np.ones(1), np.array([True]), np.zeros(n, dtype=int), np.ones(1)))
     (noise, size), (same_noise, same_size) = found
     assert np.allclose(same_noise, noise, rtol=1e-9)
     assert np.allclose(same_size, size, rtol=1e-9)

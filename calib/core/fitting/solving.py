@@ -220,12 +220,15 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> R
     raise NotConvergedError(_NO_NOISE)
 
 
-def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
+def scales_found(
+    problem: Problem, evaluation: Evaluation, groups: FloatArray, *, rough: bool = False
+) -> tuple[FloatArray, FloatArray]:
     """Find the scales of the groups `noise_found`, and factors on the sigmas of families, from the residuals.
 
     Args:
         evaluation: An evaluation near the minimum, whose linear model counts.
         groups: Scales to start from, (n_groups,).
+        rough: As in `find_sizes`.
 
     Returns:
         Scales of the groups (n_groups,), factors of the families (n_families,).
@@ -236,7 +239,7 @@ def scales_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -
     stated = np.ones(len(groups))
     if not len(sizes):
         model: LinearModel = problem.compressed(evaluation, stated, unknowns)
-        return find_sizes(model, groups, problem.noise_found, unknowns.family, sizes)
+        return find_sizes(model, groups, problem.noise_found, unknowns.family, sizes, rough=rough)
     model = problem.rows(evaluation, groups, unknowns.rescale_families(1.0 / sizes))  # noise decides what rows see
     scales, found = find_sizes(model, stated, problem.noise_found, unknowns.family, sizes)
     return np.maximum(groups * scales, EXACT / 10), found / sizes
@@ -252,7 +255,7 @@ def release_contradicted_noise(
         groups: Scales to keep where nothing is contradicted, (n_groups,).
     """
     all_found = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
-    scales, _ = scales_found(all_found, evaluation, groups)
+    scales, _ = scales_found(all_found, evaluation, groups, rough=True)
     contradicted = problem.contradicted_groups(scales)
     return replace(problem, noise_found=problem.whitening.is_unstated | contradicted), np.where(
         contradicted, scales, groups

@@ -123,7 +123,13 @@ def likeliest_sizes(
 
 
 def find_sizes(
-    model: LinearModel, start: FloatArray, sought: BoolArray, family: IntArray, sizes: FloatArray
+    model: LinearModel,
+    start: FloatArray,
+    sought: BoolArray,
+    family: IntArray,
+    sizes: FloatArray,
+    *,
+    rough: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
     """Find scales of groups of rows, and sizes of families, without scatter.
 
@@ -136,6 +142,7 @@ def find_sizes(
         sought: Mask of the groups whose scales are to be found, (n_groups,); the others have the scale 1.
         family: Family of each parameter, -1 for none, (n_free,).
         sizes: Sizes to start from, over the expected ones, (n_families,); empty where there are no families.
+        rough: Whether scales within a part of their uncertainty are enough.
 
     Returns:
         Scales of the groups (n_groups,), and sizes (n_families,).
@@ -158,7 +165,7 @@ def find_sizes(
     left = float(total - np.count_nonzero(mixed.family == FLAT))
     require_freedom(left, total)
     begin = np.log(np.append(sizes, start[sought])) if np.any(mixed.has_prior) else None
-    at = likeliest_sizes(mixed, begin, least_gain=_GAIN if len(sizes) else _FINE_GAIN)
+    at = likeliest_sizes(mixed, begin, least_gain=_GAIN if rough or len(sizes) else _FINE_GAIN)
     found, noise, _ = mixed.sizes(at.logs)
     require_freedom(left - at.freedom(np.array([KNOWN])), total)  # families explain every exact row
     return np.where(sought, noise, start), found

@@ -20,6 +20,7 @@ from calib.core.numerics import linalg
 
 _ROUNDS = 5
 _FAR = 6.0  # a row is left out if it misses by more than this many times the median miss
+_PARALLEL = 1e-3  # axes that lean less than this show no shift along them: robots differ more from their files [rad]
 _LEAST = 1e-4  # miss that is never left out [m]
 
 
@@ -45,16 +46,27 @@ class Alignment(ReadOnlyArrays):
         return float(np.sqrt(np.mean(self.distances[self.kept] ** 2)))
 
 
-def align(robot: FloatArray, printed: FloatArray) -> Alignment:
+def align(
+    robot: FloatArray,
+    printed: FloatArray,
+    now: tuple[FloatArray, FloatArray] = (np.eye(4), np.eye(4)),
+    known: tuple[bool, bool] = (False, False),
+) -> Alignment:
     """Find base and tool.
 
     Args:
         robot: T_robot(q), (n, 4, 4) [m].
         printed: T_printed, (n, 4, 4) [m].
+        now: Base and tool, (4, 4) each [m]; what the poses do not determine stays near them.
+        known: Whether the base is known, and whether the tool is.
     """
+    start = np.linalg.inv(now[0]), now[1]
     kept = np.ones(len(robot), dtype=bool)
     for _ in range(_ROUNDS):
-        inverse_base, tool = solve_poses(robot[kept], printed[kept], (np.eye(4), np.eye(4)), (False, False))
+        inverse_base, tool = solve_poses(robot[kept], printed[kept], start, known)
+        turned = printed[kept, :3, 3] @ inverse_base[:3, :3].T
+        shifts = _shifts(robot[kept], turned, np.append(start[0][:3, 3], start[1][:3, 3]), known)
+        inverse_base[:3, 3], tool[:3, 3] = shifts[:3], shifts[3:]
         base = np.linalg.inv(inverse_base)
         misses = distances(base @ robot @ tool, printed)
         near = misses <= max(_FAR * float(np.median(misses)), _LEAST)
@@ -62,6 +74,21 @@ def align(robot: FloatArray, printed: FloatArray) -> Alignment:
             break
         kept = near
     return Alignment(base, tool, misses, kept)
+
+
+def _shifts(robot: FloatArray, turned: FloatArray, now: FloatArray, known: tuple[bool, bool]) -> FloatArray:
+    """Shifts of X^-1 and Y, (6,) [m], near `now` where axes are parallel but for errors of the robot.
+
+    Args:
+        robot: T_robot(q), (n, 4, 4) [m].
+        turned: Printed positions, turned by X^-1, (n, 3) [m].
+        now: Present shifts, (6,) [m].
+        known: Whether those of X^-1 are known, and those of Y.
+    """
+    by = np.concatenate([np.tile(np.eye(3), (len(robot), 1, 1)), -robot[:, :3, :3]], axis=2).reshape(-1, 6)
+    free, moved = np.repeat(np.logical_not(known), 3), now.copy()
+    moved[free] += linalg.lstsq(by[:, free], (robot[:, :3, 3] - turned).reshape(-1) - by @ now, _PARALLEL)
+    return moved
 
 
 def turns_apart(robot: FloatArray, printed: FloatArray) -> float:

@@ -2,9 +2,9 @@
 
 Order of work: (1) the meaning of the columns, and the places of base and tool (`calib.matching.readings`); (2) a fit of
 all joint origins, with the covariance of rounding as the only noise; base and tool are where the user states, or at the
-robot's own frames if they are near these: another base is equivalent to another first origin; (3) if more than rounding
-remains, another tool and pairs of another program are tried, then joint terms, which a controller may have and a URDF
-cannot hold; (4) the claim (`calib.matching.agreement`).
+robot's own frames if they are near these: another base is equivalent to another first origin; what no pose shows of
+both (`calib.matching.unseen`) stays; (3) if more than rounding remains, another tool and pairs of another program are
+tried, then joint terms, which a controller may have and a URDF cannot hold; (4) the claim (`calib.matching.agreement`).
 
 PASS means that rounding explains the residuals of all pairs, and that errors at other poses are of its size.
 """
@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DataError, InputError
+from calib.core.base.errors import DataError, InputError, NotIdentifiableError
 from calib.core.base.units import millimetres
 from calib.core.base.words import count_noun
 from calib.core.calibrating.calibrate import calibrate
@@ -36,15 +36,16 @@ from calib.core.robots.loading import RobotLike, as_robot, build
 from calib.core.robots.parametrisation import default_sections
 from calib.core.robots.robot import Robot
 from calib.matching.agreement import CONTROLLER, Agreement, agreement, explanation
-from calib.matching.alignment import distances
+from calib.matching.alignment import Alignment, align, distances
 from calib.matching.pairs import Pairs, read_pairs
 from calib.matching.readings import PlacedInterpretation, alike_error, candidates, nominal_poses
 from calib.matching.result import Match
+from calib.matching.unseen import unseen_changes, without_unseen
 
 _LEAST = 4  # pairs
 _MOST = 500  # largest number of pairs in the fit
 _NEAR = 0.015, np.radians(1.5)  # largest distance of base and tool from the robot's own frames [m], [rad]
-_ELSEWHERE = 0.02, np.radians(2.0)  # largest difference of stated from fitted places [m], [rad]
+_ELSEWHERE = 0.02, np.radians(2.0)  # misfit (RMS) that errors of the stock robot may add to a stated place [m], [rad]
 _ALIKE = 2.0  # another reading fits as well if its residuals are less than this many times the best ones
 _BETTER = 0.5  # the tool is another one if a free tool makes residuals less than this part
 _WRONG = 0.2  # largest part of the pairs from another program
@@ -96,6 +97,11 @@ def match(
     away = _stock_misses(fit)
     gone = tuple((read.rows[k], float(away[k])) for k in range(len(away)) if k not in fit.kept)
     places = _places(fit, stated=(base is not None, tool is not None))
+    stated = replace(fit, base=None if base is None else fit.base, tool=None if tool is None else fit.tool)
+    remarks += [
+        f"no pose shows the change {change}: both stay as near as possible; --base or --tool states one"
+        for change in unseen_changes(stated.open_model())
+    ]
     return Match(fit.fit, fit.candidate, read, fit.agreement, gone, places, tuple(remarks), tried)
 
 
@@ -108,17 +114,33 @@ def _first_fit(
     seed: int,
 ) -> TwinFit:
     """The fit of a reading, with base and tool as stated, or at the robot's frames if they are near."""
-    aligned, places = candidate.aligned, []
-    for what, given, found in (("tool", tool, aligned.tool), ("base", base, aligned.base)):
-        pose = None if given is None else _pose(given, what, pairs, candidate)
-        if pose is not None and _is_beyond_limits(pose, found, _ELSEWHERE):
+    reading, aligned = candidate.reading, candidate.aligned
+    joints, positions, rotations = reading.select_pairs(pairs)
+    links, printed = nominal_poses(robot, reading.joints(joints)), reading.poses(positions, rotations)
+    given = {"base": base, "tool": tool}
+    stated = {what: _pose(pose, what, pairs, candidate) for what, pose in given.items() if pose is not None}
+    now = stated.get("base", np.eye(4)), stated.get("tool", np.eye(4))
+    least = _misfit(aligned, candidate, links, printed)
+    for names in (("tool",), ("base",), ("base", "tool")):
+        if not stated.keys() >= set(names):
+            continue
+        aligned = align(links, printed, now, ("base" in names, "tool" in names))
+        if np.any(_misfit(aligned, candidate, links, printed) - least > np.square(_ELSEWHERE)):
+            nearest = align(links, printed, now)
             raise DataError(
-                f"{pairs.path}: the poses contradict the stated {what}: they give {_place(found)}, and"
-                f" {_place(pose)} was stated"
+                f"{pairs.path}: the poses contradict the stated {' and '.join(names)}: they give"
+                f" {' and '.join(_place(getattr(nearest, what)) for what in names)}, and"
+                f" {' and '.join(_place(stated[what]) for what in names)} was stated"
             )
-        places.append(_frame_near(found) if pose is None else pose)
-    kept = tuple(int(k) for k in np.flatnonzero(aligned.kept))
-    return TwinFit(robot, pairs, candidate, places[0], places[1], kept, seed)
+    tool_place, base_place = (stated.get(what, _frame_near(getattr(aligned, what))) for what in ("tool", "base"))
+    kept = tuple(int(k) for k in np.flatnonzero(candidate.aligned.kept))
+    return TwinFit(robot, pairs, candidate, aligned, tool_place, base_place, kept, seed)
+
+
+def _misfit(aligned: Alignment, candidate: PlacedInterpretation, links: FloatArray, printed: FloatArray) -> FloatArray:
+    """Mean squared distance and turn of the pairs that are in the fit, (2,) [m^2, rad^2]."""
+    apart = _twist(aligned.base @ links @ aligned.tool, printed)[candidate.aligned.kept].reshape(-1, 2, 3)
+    return np.asarray(np.mean(np.sum(apart**2, axis=2), axis=0))
 
 
 def _best_fit(fits: list[TwinFit], pairs: Pairs) -> TwinFit:
@@ -205,6 +227,7 @@ class TwinFit:
     Attributes:
         robot: Nominal.
         pairs, candidate: The pairs, and the meaning of their columns.
+        aligned: Base and tool from which the fit starts.
         tool, base: Known poses, (4, 4) [m]; None if the fit determines them.
         kept: Indices of the pairs in the fit.
         seed: Seed of the draws of rounding.
@@ -213,6 +236,7 @@ class TwinFit:
     robot: Robot
     pairs: Pairs
     candidate: PlacedInterpretation
+    aligned: Alignment
     tool: FloatArray | None
     base: FloatArray | None
     kept: tuple[int, ...]
@@ -238,7 +262,13 @@ class TwinFit:
         return explanation(self.fit, self._fit, data.joints, rounding, self.seed)
 
     def _fit(self, joints: FloatArray) -> JudgedFit:
-        return calibrate(self._model(), replace(self._data[0], joints=joints), None, Settings(terms=None))
+        try:
+            return calibrate(self._model(), replace(self._data[0], joints=joints), None, Settings(terms=None))
+        except NotIdentifiableError:
+            raise NotIdentifiableError(
+                f"{self.pairs.path}: these pairs do not determine base and tool; add pairs in which all joints turn"
+                " far, or state --base or --tool"
+            ) from None
 
     def found_place(self, place: str) -> FloatArray:
         """Return the fitted pose of the target of this name, or of the base, (4, 4) [m]."""
@@ -253,9 +283,13 @@ class TwinFit:
     def _model(self) -> Robot:
         """The nominal robot with all joint origins free, and known or aligned base and tool.
 
-        Fixed joints behind the last moving joint are a part of the tool, and stay.
+        Fixed joints behind the last moving joint are a part of the tool, and stay, as does what no pose shows.
         """
-        robot, aligned, tool, base = self.robot, self.candidate.aligned, self.tool, self.base
+        return without_unseen(self.open_model())
+
+    def open_model(self) -> Robot:
+        """Return the nominal robot with all joint origins free, and base and tool unless they are known."""
+        robot, aligned, tool, base = self.robot, self.aligned, self.tool, self.base
         description, name = robot.description, robot.target_names[0]
         target, state = description.targets[name], "unknown" if tool is None else "known"
         placed = {"pose": "unknown" if base is None else "known", **_xyz_rpy(aligned.base if base is None else base)}

@@ -105,7 +105,7 @@ class Pairs(ReadOnlyArrays):
         joints: (n, n_joints), in units of the file.
         positions: Positions in the units of the file, (n, 3).
         rotations: Rotations in the units of the file, (n, 3, 4 or 9).
-        units: Units of joint values, positions and rotations, or None where the file states none.
+        units: Units of each joint, of positions and of rotations, or None where the file states none.
         steps: Rounding steps of each joint, of positions and of rotations, in units of the file, (n_joints + 2,).
         words: Key in `HEADERS` for the names of the rotation's columns; empty if they have none.
     """
@@ -115,7 +115,7 @@ class Pairs(ReadOnlyArrays):
     joints: FloatArray
     positions: FloatArray
     rotations: FloatArray
-    units: tuple[str | None, str | None, str | None]
+    units: tuple[str | None, ...]
     steps: FloatArray
     words: str
 
@@ -158,7 +158,7 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
         k: table.column(table.names[k], None) if table.units[k] is None else np.array(table.text(table.names[k]), float)
         for k in used
     }
-    units = (_unit(table, joints), _unit(table, positions), _unit(table, rotations))
+    units = (*(table.units[k] for k in joints), _unit(table, positions), _unit(table, rotations))
     steps = [_step(table, (k,), numbers) for k in joints] + [
         _step(table, columns, numbers) for columns in (positions, rotations)
     ]

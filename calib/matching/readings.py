@@ -37,10 +37,12 @@ _FIT = 0.08  # a reading fits if it misses by less than this part of the spread 
 _STILL = 0.005  # pairs determine nothing if the robot's positions spread less [m]
 _ALIKE = 3.0  # a fit must decide if another miss is less than this many times the best
 _SHORT = 12  # number of readings kept for each joint unit and direction: six sequences agree equally
+_TURNED = 1e-4  # rotations agree equally if their misfits differ less, squared errors of robots [rad^2]
 _MIRRORED = 4  # best readings whose columns of positions are tried in other orders
 _MOST = 4  # largest number of readings that fits decide between
 _SHIFTS = (-3, -2, -1, 1, 2, 3)
 _TURN = 4.5 * np.pi  # joint values above this are no radians
+_PER_SI = PER_SI["angle"] | PER_SI["length"]
 _DIRECTIONS = {
     "direct": "the tool in the base",
     "inverse": "the base seen from the tool (inverse poses)",
@@ -76,19 +78,23 @@ class Interpretation:
 
     Attributes:
         convention: Convention of rotations.
-        joint_unit, length_unit, angle_unit: Units of revolute joints, of lengths, and of the rotations' angles.
-        joint_scales: Factors from numbers of the file to joint values, (n_joints,) [m or rad per 1].
+        joint_units: Unit of each joint.
+        length_unit, angle_unit: Units of positions, and of the rotations' angles.
         direction: Key of `_DIRECTIONS`.
         twist: A further deviation from the usual meaning.
     """
 
     convention: Convention
-    joint_unit: str
+    joint_units: tuple[str, ...]
     length_unit: str
     angle_unit: str
-    joint_scales: FloatArray
     direction: str = "direct"
     twist: Twist = _NONE
+
+    @property
+    def joint_scales(self) -> FloatArray:
+        """Factors from numbers of the file to joint values, (n_joints,) [m or rad per 1]."""
+        return 1.0 / np.array([_PER_SI[unit] for unit in self.joint_units])
 
     def joints(self, numbers: FloatArray) -> FloatArray:
         """Return joint values (n, n_joints) [m or rad] from the file's numbers (n, n_joints)."""
@@ -123,16 +129,16 @@ class Interpretation:
     def words(self) -> str:
         """Return the reading in words."""
         unit = f" in {self.angle_unit}" if self.convention.has_angles else ""
-        text = f"joints in {self.joint_unit}, positions in {self.length_unit}, rotations as {self.convention}{unit}"
+        joints = listing(list(dict.fromkeys(self.joint_units)), " and ")
+        text = f"joints in {joints}, positions in {self.length_unit}, rotations as {self.convention}{unit}"
         return f"{text}; {_DIRECTIONS[self.direction]}"
 
     def mistakes(self, pairs: Pairs) -> list[str]:
         """Return the differences of the file from its header, or from the usual meaning."""
-        columns = zip(("joint values", "positions", "rotations"), pairs.units,
-                   (self.joint_unit, self.length_unit, self.angle_unit), strict=True)  # fmt: skip
-        found = [
-            f"{what} are in {unit}, not in {stated}" for what, stated, unit in columns if stated not in (None, unit)
-        ]
+        names = [*("joint values" for _ in self.joint_units), "positions", "rotations"]
+        columns = zip(names, pairs.units, (*self.joint_units, self.length_unit, self.angle_unit), strict=True)
+        differences = (each for each in columns if each[1] not in (None, each[2]))
+        found = [f"{what} are in {unit}, not in {stated}" for what, stated, unit in dict.fromkeys(differences)]
         meant = HEADERS.get(pairs.words)
         if meant and meant != self.convention.form:
             found.append(f"the columns {pairs.words} are not {meant}, but {self.convention.form}")
@@ -164,7 +170,7 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
         DataError: No reading fits, or several fit equally; see `alike_error`.
     """
     usual = _likeliest(robot, pairs, [_NONE], _DIRECTIONS)
-    tried = [_place(robot, pairs, reading) for reading in usual]
+    tried = _place(robot, pairs, usual)
     points = nominal_poses(robot, usual[0].joints(pairs.joints))[:, :3, 3]
     spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
     if spread < _STILL:
@@ -176,7 +182,7 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     for readings in _single_twists(robot, pairs, usual):
         if min(one.miss for one in tried) <= limit:
             break
-        tried += [_place(robot, pairs, reading) for reading in readings]
+        tried += _place(robot, pairs, readings)
     best = min(tried, key=lambda one: one.miss)
     if best.miss > limit:
         raise DataError(
@@ -189,6 +195,8 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
         near = one.miss < min(_ALIKE * best.miss, limit)
         if near and not any(_are_same(pairs, one.reading, other.reading) for other in alike):
             alike.append(one)
+    if len(alike) > _MOST and HEADERS.get(pairs.words):
+        alike = [one for one in alike if not one.reading.mistakes(pairs)] or alike
     if len(alike) > _MOST:
         raise alike_error(pairs, [one.reading for one in alike])
     return alike
@@ -216,11 +224,18 @@ def _are_same(pairs: Pairs, one: Interpretation, other: Interpretation) -> bool:
     return bool(np.allclose(one.poses(*pose), other.poses(*pose_other), atol=_SAME))
 
 
-def _place(robot: Robot, pairs: Pairs, reading: Interpretation) -> PlacedInterpretation:
-    joints, positions, rotations = reading.select_pairs(pairs)
-    return PlacedInterpretation(
-        reading, align(nominal_poses(robot, reading.joints(joints)), reading.poses(positions, rotations))
-    )
+def _place(robot: Robot, pairs: Pairs, readings: Iterable[Interpretation]) -> list[PlacedInterpretation]:
+    """The readings with their alignments; those that give the same poses share one."""
+    alignments: dict[bytes, Alignment] = {}
+    placed = []
+    for reading in readings:
+        joints, positions, rotations = reading.select_pairs(pairs)
+        poses = np.stack([nominal_poses(robot, reading.joints(joints)), reading.poses(positions, rotations)])
+        key = (np.round(poses / _SAME) + 0.0).tobytes()  # 0.0 makes zeros of both signs one
+        if key not in alignments:
+            alignments[key] = align(*poses)
+        placed.append(PlacedInterpretation(reading, alignments[key]))
+    return placed
 
 
 def _likeliest(
@@ -228,7 +243,8 @@ def _likeliest(
 ) -> list[Interpretation]:
     """The readings whose rotations agree best with the robot's, which needs neither tool nor base.
 
-    Some of each joint unit and direction are kept, since small rotations are proportional in any unit.
+    Some of each joint unit and direction are kept, since small rotations are proportional in any unit, and all that
+    agree equally: if the tool turns about one axis, this is any axis.
     """
     ranked: list[tuple[float, Interpretation]] = []
     for start, direction in product(_plain(robot, pairs), directions):
@@ -240,7 +256,8 @@ def _likeliest(
                 if convention.width == rotations.shape[1] and (convention.has_angles or unit == "rad"):
                     one = replace(start, convention=convention, angle_unit=unit, direction=direction, twist=twist)
                     group.append((turns_apart(robots, one.poses(positions, rotations)[:, :3, :3]), one))
-        ranked += sorted(group, key=lambda entry: entry[0])[:_SHORT]
+        group.sort(key=lambda entry: entry[0])
+        ranked += [each for k, each in enumerate(group) if k < _SHORT or each[0] < group[0][0] + _TURNED]
     return [reading for _, reading in sorted(ranked, key=lambda entry: entry[0])]
 
 
@@ -250,14 +267,18 @@ def _plain(robot: Robot, pairs: Pairs) -> list[Interpretation]:
     points = robot.forward(robot.sample(50, 0), robot.target_names[0])[:, :3, 3]
     reach, size = (float(np.median(np.linalg.norm(xyz, axis=1))) for xyz in (points, pairs.positions))
     length = min(("mm", "m"), key=lambda unit: abs(np.log(max(size, _SAME) / PER_SI["length"][unit] / reach)))
-    turning = np.array([dimension == "angle" for dimension in dimensions])
-    large = bool(np.any(np.abs(pairs.joints[:, turning]) > _TURN))
     first = next(each for each in CONVENTIONS if each.width == pairs.rotations.shape[1])
-    readings = []
-    for unit in ("deg",) if large else ("deg", "rad"):
-        scales = {"angle": 1 / PER_SI["angle"][unit], "length": 1 / PER_SI["length"][length]}
-        readings.append(Interpretation(first, unit, length, "rad", np.array([scales[each] for each in dimensions])))
-    return readings
+    units = [{"angle": unit, "length": length} for unit in ("deg", "rad")]
+    ways = [tuple(usual[each] for each in dimensions) for usual in units]
+    headers = zip(dimensions, pairs.units, strict=False)  # units of joints come first
+    stated = [unit if unit in PER_SI[each] else None for each, unit in headers]
+    ways += [tuple(unit or own for unit, own in zip(stated, way, strict=True)) for way in ways]
+    large = np.max(np.abs(pairs.joints), axis=0) > _TURN
+    return [
+        Interpretation(first, way, length, "rad")
+        for way in dict.fromkeys(ways)
+        if not np.any(large & (np.array(way) == "rad"))
+    ]
 
 
 def _single_twists(robot: Robot, pairs: Pairs, usual: Sequence[Interpretation]) -> Iterator[Iterable[Interpretation]]:
@@ -283,7 +304,7 @@ def _single_twists(robot: Robot, pairs: Pairs, usual: Sequence[Interpretation]) 
         for at in likely_maps(robot, as_measurements(robot, one.joints(pairs.joints), positions)):
             zeros = at.joints(np.zeros((1, n)))[0]
             mapped.append(Twist(at.words(robot), (at.joints(np.eye(n)) - zeros).T, zeros))
-        yield [each for each in _likeliest(robot, pairs, mapped) if each.joint_unit == one.joint_unit]
+        yield [each for each in _likeliest(robot, pairs, mapped) if each.joint_units == one.joint_units]
 
 
 def _mirror_twists() -> Iterator[Twist]:

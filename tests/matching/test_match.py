@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -156,37 +158,183 @@ def scara_poses(q: np.ndarray, o: np.ndarray) -> np.ndarray:
     return T
 
 
+def scara_urdf(path: Path, turned: str = "0") -> Path:
+    """The nominal SCARA, the slide turned about x [rad] with its axis."""
+    links = "".join(f"<link name='l{k}'/>" for k in range(5))
+    joints = "".join(
+        f"<joint name='j{k + 1}' type='{kind}'><parent link='l{k}'/><child link='l{k + 1}'/><origin xyz='{xyz}'"
+        f" rpy='{turned if kind == 'prismatic' else 0} 0 0'/><axis xyz='0 0 {sign}'/>"
+        f"<limit lower='{-3 if kind == 'revolute' else 0}' upper='{3 if kind == 'revolute' else 0.2}' effort='1'"
+        " velocity='1'/></joint>"
+        for k, (kind, xyz, sign) in enumerate(SCARA)
+    )
+    path.write_text(f"<robot name='scara'>{links}{joints}</robot>")
+    return path
+
+
+def scara_pairs(
+    path: Path,
+    q: np.ndarray,
+    T: np.ndarray,
+    header: str = "j1,j2,j3,j4,x,y,z,w,p,r",
+    digits: tuple[int, ...] = (6, 4, 6),
+) -> Path:
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz", degrees=True)
+    numbers = np.degrees(q) * [1, 1, 0, 1] + 1e3 * q * [0, 0, 1, 0]
+    return write(path, header, numbers, 1e3 * T[:, :3, 3], angles, digits=digits)
+
+
+def scara_values(seed: int, n: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform([-2.3, -2.3, 0.0, -3.0], [2.3, 2.3, 0.2, 3.0], (n, 4))
+
+
+BASE = np.array([500.0, -300.0, 800.0, 2.0, -10.0, 115.0])
+TOOL = np.array([50.0, 20.0, 100.0, 172.0, -14.0, 8.0])
+"""Places in the form of the pairs [mm, deg]."""
+
+
+def place(numbers: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", numbers[3:], degrees=True).as_matrix(), 1e-3 * numbers[:3]
+    return T
+
+
+def option(numbers: np.ndarray, dx: float = 0.0, dz: float = 0.0) -> str:
+    return ",".join(f"{x:g}" for x in numbers + np.array([dx, 0, dz, 0, 0, 0]))
+
+
 @pytest.mark.quick(2)
 @pytest.mark.parametrize("lean", [0.0, 1e-6, 1e-3])
 @pytest.mark.parametrize("n", [4, 30])
-def test_a_scara_is_placed_and_its_open_height_is_named(tmp_path: Path, n: int, lean: float) -> None:
-    links = "".join(f"<link name='l{k}'/>" for k in range(5))
-    joints = "".join(
-        f"<joint name='j{k + 1}' type='{kind}'><parent link='l{k}'/><child link='l{k + 1}'/><origin xyz='{xyz}'/>"
-        f"<axis xyz='0 0 {sign}'/><limit lower='-3' upper='3' effort='1' velocity='1'/></joint>"
-        for k, (kind, xyz, sign) in enumerate(SCARA)
-    )
-    (tmp_path / "scara.urdf").write_text(f"<robot name='scara'>{links}{joints}</robot>")
-    rng = np.random.default_rng(3)
-    q = rng.uniform([-2.3, -2.3, 0.0, -3.0], [2.3, 2.3, 0.2, 3.0], (n, 4))
+def test_a_scara_is_placed_and_fitted(tmp_path: Path, n: int, lean: float) -> None:
+    stock, rng, q = scara_urdf(tmp_path / "scara.urdf"), np.random.default_rng(3), scara_values(3, n)
     o = rng.normal(size=(4, 6)) * [3e-4, 3e-4, 3e-4, lean, lean, 0.0]
-    base, tool = np.eye(4), np.eye(4)
-    base[:3, :3], base[:3, 3] = Rotation.from_rotvec([0.1, 0.2, 2.0]).as_matrix(), [0.5, -0.3, 0.8]
-    tool[:3, :3], tool[:3, 3] = Rotation.from_rotvec([3.0, 0.2, 0.4]).as_matrix(), [0.05, 0.02, 0.1]
+    base, tool = place(BASE), place(TOOL)
     for origins, most in ((0 * o, 2e-5), (o, 2e-3 + lean)):  # the nominal robot and noise alone; as its maker knows it
         T = base @ scara_poses(q, origins) @ tool
-        T[:, :3, 3] += 1e-5 * rng.normal(size=(n, 3))
-        angles = Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz", degrees=True)
-        numbers = np.degrees(q) * [1, 1, 0, 1] + 1e3 * q * [0, 0, 1, 0]
-        path = write(
-            tmp_path / "p.csv", "j1,j2,j3,j4,x,y,z,rx,ry,rz", numbers, 1e3 * T[:, :3, 3], angles, digits=(6, 4, 6)
-        )
-        robot = calib.load(tmp_path / "scara.urdf")
+        noisy = T.copy()
+        noisy[:, :3, 3] += 1e-5 * rng.normal(size=(n, 3))
+        path = scara_pairs(tmp_path / "p.csv", q, noisy)
+        robot = calib.load(stock)
         best = candidates(robot, read_pairs(path, robot.joint_names))[0]
         assert best.miss < most
         assert np.linalg.norm((best.aligned.base @ np.linalg.inv(base))[:2, :2] - np.eye(2)) < 5e-3 + 5 * lean
-    with pytest.raises(calib.CalibrationError, match=r"not separable: .*base\.z"):
-        calib.match(tmp_path / "scara.urdf", path)
+    if n == 30:
+        matched = calib.match(stock, scara_pairs(tmp_path / "p.csv", q, T))
+        assert matched.grade == "PASS", matched.report()
+        other = scara_values(4, 300)
+        away = matched.fit.robot.positions(other)[:, 0] - (base @ scara_poses(other, o) @ tool)[:, :3, 3]
+        assert np.quantile(np.linalg.norm(away, axis=1), 0.95) <= matched.agreement.claim < 1e-5
+
+
+UNSEEN = r"no pose shows the change tool\.z \+1 mm, base\.x .* mm: both stay.*; --base or --tool states one"
+
+
+@pytest.mark.parametrize("longer", [0.0, 8e-4])
+def test_a_shift_that_no_pose_shows_is_said_until_it_is_stated(
+    tmp_path: Path, run_calib: Callable[..., Any], longer: float
+) -> None:
+    stock, q = scara_urdf(tmp_path / "scara.urdf"), scara_values(3, 30)
+    o = np.zeros((4, 6))
+    o[1, 0], o[2, 0] = longer, -longer / 2
+    pairs = scara_pairs(tmp_path / "p.csv", q, place(BASE) @ scara_poses(q, o) @ place(TOOL))
+    base, tool = f"--base={option(BASE)}", f"--tool={option(TOOL)}"
+    for stated, is_unseen in (((), True), ((base,), False), ((tool,), False), ((base, tool), False)):
+        run = run_calib("match", stock, pairs, *stated, "--out", tmp_path / "out", "--force")
+        said = " ".join(run.out.split())
+        assert (run.code, "PASS: agrees" in said) == (0, True), run.out + run.err
+        assert bool(re.search(UNSEEN, said)) == is_unseen, said
+    made = calib.load(tmp_path / "out" / "calibrated.urdf")  # of the last run: with base and tool as stated
+    other = scara_values(4, 50)
+    away = made.forward(other, "l4") - scara_poses(other, o)
+    assert np.max(np.abs(away[:, :3, 3])) < 5e-6  # origins stay near nominal where places and they look alike
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ((f"--base={option(BASE, dx=60)}",), "contradict the stated base:"),
+        ((f"--tool={option(TOOL, dx=60)}",), "contradict the stated tool:"),
+        ((f"--base={option(BASE)}", f"--tool={option(TOOL, dz=60)}"), "contradict the stated base and tool:"),
+        ((f"--base={option(BASE, dz=60)}",), ""),  # no pose shows it
+    ],
+)
+def test_a_stated_place_is_contradicted_only_by_what_poses_show(
+    tmp_path: Path, run_calib: Callable[..., Any], stated: tuple[str, ...], said: str
+) -> None:
+    base = BASE * [1, 1, 1, 0, 0, 1]  # upright, so that z is the direction that no pose shows
+    stated = tuple(text.replace(",2,-10,115", ",0,0,115") for text in stated)
+    stock, q = scara_urdf(tmp_path / "scara.urdf"), scara_values(3, 30)
+    T = place(base) @ scara_poses(q, np.zeros((4, 6))) @ place(TOOL)
+    run = run_calib("match", stock, scara_pairs(tmp_path / "p.csv", q, T), *stated)
+    assert run.code == (2 if said else 0), run.out + run.err
+    assert said in run.err
+
+
+def test_of_pairs_that_leave_more_open_than_all_poses_would_no_robot_is_made(
+    tmp_path: Path, run_calib: Callable[..., Any]
+) -> None:
+    stock, q = scara_urdf(tmp_path / "scara.urdf"), scara_values(3, 30)
+    q[:, :2] = 1.1234
+    T = place(BASE) @ scara_poses(q, np.zeros((4, 6))) @ place(TOOL)
+    run = run_calib("match", stock, scara_pairs(tmp_path / "p.csv", q, T), "--out", tmp_path / "out")
+    assert run.code == 3, run.out
+    assert "do not determine base and tool; add pairs in which all joints turn far, or state --base" in run.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_axes_that_are_parallel_but_for_digits_of_the_file_show_no_shift(
+    tmp_path: Path, run_calib: Callable[..., Any]
+) -> None:
+    """rpy="3.14159 0 0" leans by 2.7e-6 rad; base and tool would be at 90 m."""
+    stock, q = scara_urdf(tmp_path / "scara.urdf", turned="3.14159"), scara_values(3, 30)
+    o = np.zeros((4, 6))
+    o[1, 0], o[2, 3] = 8e-4, np.pi
+    pairs = scara_pairs(tmp_path / "p.csv", q, place(BASE) @ scara_poses(q, o) @ place(TOOL))
+    run = run_calib("match", stock, pairs, "--json", "-")
+    result = json.loads(run.out)
+    assert (run.code, result["grade"]) == (0, "PASS"), result
+    assert any(re.search(UNSEEN, remark) for remark in result["remarks"])
+    numbers = [float(x) for text in result["places"] for x in re.findall(r"xyz (\S+) (\S+) (\S+) mm", text)[0]]
+    assert np.max(np.abs(numbers)) < 1500
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_of_rotations_about_one_axis_every_form_is_tried(tmp_path: Path, seed: int) -> None:
+    """The tool stays level: the controller prints 0, 0 and one angle, which may turn about any axis in any form."""
+    robot, q = calib.load(scara_urdf(tmp_path / "scara.urdf", turned="3.14159")), scara_values(seed, 30)
+    o = np.random.default_rng(seed).normal(size=(4, 6)) * [3e-4, 3e-4, 3e-4, 0, 0, 0]
+    o[2, 3] = np.pi
+    T = scara_poses(q, o) @ place(np.array([0.0, 0.0, 150.0, 180.0, 0.0, 0.0]))
+    path = scara_pairs(tmp_path / "p.csv", q, T, "j1,j2,j3,j4,x,y,z,rx,ry,rz", digits=(5, 3, 5))
+    (found,) = candidates(robot, read_pairs(path, robot.joint_names))
+    assert found.miss < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("header", "scales"),
+    [
+        ("j1 [deg],j2 [deg],j3 [mm],j4 [deg]", [1.0, 1.0, 1.0, 1.0]),
+        ("j1 [rad],j2 [deg],j3 [m],j4 [deg]", [np.pi / 180, 1.0, 1e-3, 1.0]),
+    ],
+)
+def test_each_joint_column_has_a_unit_of_its_own(
+    tmp_path: Path, run_calib: Callable[..., Any], header: str, scales: list[float]
+) -> None:
+    stock, q = scara_urdf(tmp_path / "scara.urdf"), scara_values(3, 30)
+    T = scara_poses(q, np.zeros((4, 6)))
+    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz", degrees=True)
+    numbers = (np.degrees(q) * [1, 1, 0, 1] + 1e3 * q * [0, 0, 1, 0]) * scales
+    path = write(
+        tmp_path / "p.csv", f"{header},x [mm],y [mm],z [mm],w,p,r", numbers, 1e3 * T[:, :3, 3], angles, digits=(8, 4, 6)
+    )
+    run = run_calib("match", stock, path)
+    assert (run.code, "PASS: agrees" in run.out) == (0, True), run.out + run.err
+    assert "not in" not in run.out
+    robot = calib.load(stock)
+    (found,) = candidates(robot, read_pairs(path, robot.joint_names))
+    assert found.reading.joint_units == tuple(re.findall(r"\[(\w+)\]", header))
+    assert np.allclose(found.reading.joints(read_pairs(path, robot.joint_names).joints), q, atol=1e-7)
 
 
 def test_pair_of_another_program_is_named_and_left_out(stock: Path, tmp_path: Path) -> None:
@@ -225,7 +373,7 @@ def test_makers_angles_are_found(stock: Path, tmp_path: Path, words: str) -> Non
     file = write(tmp_path / "p.csv", header, np.degrees(q), 1e3 * T[:, :3, 3], angles, digits=(3, 2, 3))
     (found,) = candidates(robot, read_pairs(file, JOINTS))
     reading = found.reading
-    units = reading.joint_unit, reading.length_unit, reading.angle_unit
+    units = reading.joint_units[0], reading.length_unit, reading.angle_unit
     assert (reading.convention.form, units, reading.direction) == (EULER[words], ("deg", "mm", "deg"), "direct")
 
 
@@ -241,7 +389,7 @@ def test_quaternions_of_abb_and_lines_without_a_header_are_read(stock: Path, tmp
     lines = [f"{a.tolist()} p{b.tolist()}" for a, b in zip(q, np.hstack([T[:, :3, 3], turns.as_rotvec()]), strict=True)]
     (tmp_path / "log.txt").write_text("\n".join(lines))
     (found,) = candidates(robot, read_pairs(tmp_path / "log.txt", JOINTS))
-    assert (found.reading.convention.form, found.reading.joint_unit, found.reading.length_unit) == (
+    assert (found.reading.convention.form, found.reading.joint_units[0], found.reading.length_unit) == (
         "rotation vector",
         "rad",
         "m",

@@ -210,10 +210,9 @@ def _widening_sentence(fit: Fit, sample: Callable[[], FloatArray]) -> str:
     slope = _slope(fit, sample()) if np.any(terms) and not fit.computed else np.zeros((0, 0))
     if not len(slope):
         return ""
-    covariance, at_used = fit.uncertainty.covariance_of(fit.robot), _uncertain_at_used(fit)
-    known = np.append(terms, np.zeros(len(covariance) - len(terms), dtype=bool))
-    away, alone = _size(slope, covariance), _size(slope, _covariance_given(covariance, known))
-    if away <= max(_well_known(fit, at_used), WIDENED * alone):
+    at_used, covariance = _uncertain_at_used(fit), fit.uncertainty.covariance_of(fit.robot)
+    away, known = _size(slope, covariance), np.append(terms, np.zeros(len(covariance) - len(terms), dtype=bool))
+    if away <= _well_known(fit, at_used) or away <= WIDENED * _size(slope, _covariance_given(covariance, known)):
         return ""
     used = f"{millimetres(at_used):.2g} mm at the poses used"
     return f"{millimetres(away):.2g} mm RMS there, and to {used}, not counting base and tool"

@@ -95,6 +95,7 @@ class FamilyPart(ReadOnlyArrays):
         """Return the part of the columns of a family, (n_rows, n).
 
         Components of a family are dropped if they are shorter than `least`, or than the part `aside` of the longest.
+        Of columns with known priors, all stay if `least` is 0; else rows must see that part, too.
         """
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
@@ -103,10 +104,10 @@ class FamilyPart(ReadOnlyArrays):
             seen = values > _UNSEEN * values[0]
             kept = vectors[seen].T / values[seen] / lengths[:, None]
             return FamilyPart(members, kept, family)
-        if family == KNOWN:
+        if family == KNOWN and least == 0.0:
             return FamilyPart(members, np.eye(len(members)), family)
         values, vectors = _principal(columns)
-        seen = values > max(aside**2 * values[-1], least**2)
+        seen = values > max(aside**2 * values[-1], 0.0 if family == KNOWN else least**2)
         return FamilyPart(members, vectors[:, seen], family)
 
 

@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import CalibrationError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import millimetres
@@ -63,6 +63,7 @@ _CLOSER = 0.2  # with the mistake undone, the nominal robot misses by less than 
 _NEAR = 0.2  # and by less than this part of the spread of the measured positions
 _HALF = 0.5  # a fit with other scales of joints leaves less than this part of the noise
 _AS_GOOD = 1.5  # another mistake explains the data as well if it misses by at most this many times the best miss
+_GLANCE = 4  # step through these poses for a first look: do the loops close at all?
 _FEW = 3  # rows that may agree by chance
 _NO_SIZE = 1e-6  # if reach over measured space is below this, the described target is on a link that does not move
 _ANOTHER_UNIT = 0.1  # change of all lengths that is more than a robot's own errors
@@ -113,15 +114,15 @@ def _nominal_fits(
     robot: Robot, data: Measurements, sound: Measurements, zeros: IntArray
 ) -> tuple[str, ColumnMap | None]:
     """The mistake without which the nominal robot fits; if there is none, the scales with which it comes nearest."""
-    now = min(_miss(robot, some_visits(data) if len(zeros) == 0 else data), 1.0)
+    now = min(_misses(robot, [some_visits(data) if len(zeros) == 0 else data])[0], 1.0)
     where = listing([data.labels[k] for k in zeros])
     empty = f"{count_noun(len(zeros), 'reading')} of exactly 0, 0, 0 ({where}) were empty"
     trials = [Trial(empty, some_visits(sound))] if len(zeros) else []
-    misses = [_miss(robot, trial.data) for trial in trials]
+    misses = _misses(robot, [trial.data for trial in trials])
     prefix = f"{empty}, and " if len(zeros) else ""
     if not trials or misses[0] > _CLOSER * now:
         undone = list(_undone(robot, sound))
-        misses += [_miss(robot, trial.data, _AS_GOOD * min(_CLOSER * now, _NEAR)) for trial in undone]
+        misses += _misses(robot, [trial.data for trial in undone], _AS_GOOD * min(_CLOSER * now, _NEAR))
         trials += [replace(trial, words=prefix + trial.words) for trial in undone]
     best = max(min(misses), 1e-6)
     if not best < min(_CLOSER * now, _NEAR):
@@ -158,13 +159,41 @@ def _file_units(data: Measurements) -> dict[str, str | None]:
     return dict(zip(table.names, table.units, strict=True))
 
 
-def _miss(robot: Robot, data: Measurements, most: float = np.inf) -> float:
-    """Root mean square error of the nominal robot over the spread of the positions, unknown places determined.
+def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> list[float]:
+    """Root mean square errors of the nominal robot over the spread of the positions; all loops are closed at once.
 
-    A result above `most` is only a lower bound; it is infinite where less than half of the poses close.
+    A result above `most` is only a lower bound.
     """
-    closed = robot.close(data.joints, thorough=False)
-    if 2 * np.sum(closed.ok) < len(data):  # too few to look for paths to the others
+    result = np.full(len(changed), np.inf)
+    glances = [data.joints[::_GLANCE] for data in changed]
+    some = (
+        _closed_poses(robot, glances)
+        if robot.mechanism.loops
+        else [(np.ones(1, dtype=bool), np.zeros(0))] * len(changed)
+    )
+    left = [k for k, (ok, _) in enumerate(some) if _closes(ok)]
+    for k, (ok, passive) in zip(left, _closed_poses(robot, [changed[k].joints for k in left]), strict=True):
+        result[k] = _miss_of(robot, changed[k], ok, passive, most)
+    return [float(miss) for miss in result]
+
+
+def _closed_poses(robot: Robot, joints: list[FloatArray]) -> list[tuple[BoolArray, FloatArray]]:
+    """Mask of the poses of each list that close, and their passive joints."""
+    if not joints:
+        return []
+    closed = robot.close(np.vstack(joints), thorough=False)
+    starts = np.cumsum([len(q) for q in joints])[:-1]
+    return list(zip(np.split(closed.ok, starts), np.split(closed.passive, starts), strict=True))
+
+
+def _closes(ok: BoolArray) -> bool:
+    """Whether enough poses close to look for paths to the others."""
+    return bool(2 * np.sum(ok) >= len(ok))
+
+
+def _miss_of(robot: Robot, data: Measurements, ok: BoolArray, passive: FloatArray, most: float) -> float:
+    """Error of the robot, with unknown places determined, from the mask of closed poses and their passive joints."""
+    if not _closes(ok):
         return float("inf")
     points = data.points(robot)
     spread = np.sum((points - points.mean(axis=0)) ** 2)
@@ -174,7 +203,7 @@ def _miss(robot: Robot, data: Measurements, most: float = np.inf) -> float:
         placed = robot
         if any(p.placement for p in robot.parameters):
             placed = register(robot, data, rough_beyond=rough_beyond)
-        errors = placed.positions(data.joints, seed=closed.passive) - points
+        errors = placed.positions(data.joints, seed=passive) - points
     except CalibrationError:  # a loop stays open, or nothing can be placed
         return float("inf")
     return float(np.sqrt(np.sum(errors**2) / spread)) if spread > 0 else float("inf")
@@ -200,7 +229,7 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[Trial]:
 def _units(robot: Robot, data: Measurements) -> Iterator[tuple[str, float]]:
     """The units that fit the size of the measured positions, and the factor that corrects lengths."""
     closed = robot.close(data.joints, thorough=False)
-    if 2 * np.sum(closed.ok) < len(data):
+    if not _closes(closed.ok):
         return
     reached = robot.positions(data.joints[closed.ok], seed=closed.passive[closed.ok])
     measured = data.points(robot)[closed.ok]

@@ -91,6 +91,13 @@ def test_rounded_joint_values_count_as_rounding(stock: Path, tmp_path: Path) -> 
     assert distance95(matched, lambda q: poses(q, o)) <= matched.agreement.claim
 
 
+def test_joints_that_stand_at_a_round_value_do_not_count_as_rounded_to_it(stock: Path, tmp_path: Path) -> None:
+    q = joint_values(1)
+    q[:, 1:5] = -1.0, 2.0, 0.5, -1.0
+    pairs = read_pairs(ur_pairs(tmp_path / "pairs.csv", q, poses(q, origins())), JOINTS)
+    np.testing.assert_allclose(pairs.steps[:6], 1e-6)
+
+
 def coupled(q: np.ndarray) -> np.ndarray:
     return q + 2e-4 * np.eye(6)[4] * q[:, [3]]
 

@@ -31,7 +31,7 @@ from calib.core.robots.robot import Robot
 
 _STEPS = tuple(round(figure * 10.0**power, 12) for power in range(2, -6, -1) for figure in (5.0, 2.0, 1.0))
 _CLOSE = 1e-6  # a value is on the grid if it is off by less than this part of a step
-_DIFFERENT = 8  # a joint with fewer different values shows no steps
+_DIFFERENT = 8  # fewer different values show no steps
 _UNITS: dict[Dimension, tuple[str, ...]] = {"angle": ("deg", "rad"), "length": ("mm", "m")}
 
 
@@ -59,19 +59,18 @@ def joint_steps(robot: Robot, joints: FloatArray) -> FloatArray:
 
 def _step(values: FloatArray, dimension: Dimension) -> float:
     """The largest usual step between some values (n,) [m or rad]; 0 for none."""
-    step = max(usual_step(values * PER_SI[dimension][unit]) / PER_SI[dimension][unit] for unit in _UNITS[dimension])
-    return step if step and len(np.unique(values)) >= _DIFFERENT else 0.0
+    return max(usual_step(values * PER_SI[dimension][unit]) / PER_SI[dimension][unit] for unit in _UNITS[dimension])
 
 
 def usual_step(numbers: FloatArray) -> float:
-    """Return the largest usual step of which all numbers (n,) are multiples; 0 for none."""
+    """Return the largest usual step of which all numbers (n,) are multiples; 0 for none, and for few different ones."""
     left = np.array(_STEPS)
     for some in (numbers[:8], numbers):  # the first few decide most
         ratio = some[:, None] / left
         left = left[np.all(np.abs(ratio - np.round(ratio)) < _CLOSE, axis=0)]
         if len(left) == 0:
             return 0.0
-    return float(np.max(left))
+    return float(np.max(left)) if len(np.unique(numbers)) >= _DIFFERENT else 0.0
 
 
 def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:

@@ -43,8 +43,8 @@ are those that move all rows together by less than a part of the noise: of a coe
 the length l, rows decide l^2 / (1 + l^2) of its variance. So a solution omits components that are too short with its
 sizes.
 
-Rounding. R is found from A by Cholesky. What only noisy rows or priors decide is lost in A beside rows that are 1e8
-times as long. Where pivots show this, R is found by QR of the rows, the longest first.
+Rounding. R is found from A by Cholesky. Rows that are 1e8 times as long as others hide in A what only the others, or
+priors, decide. Where pivots show this, R is found by QR of the rows, the longest first.
 
 Another row, of derivatives b by the components, has the variance  b S A^-1 S b^T + d^2 |h|^2.
 

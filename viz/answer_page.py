@@ -7,7 +7,7 @@ from datetime import datetime
 
 import numpy as np
 
-from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.core.base.units import ERROR_UNIT, error_scale, millimetres, quantity_text
 from calib.core.judging.acceptance import Acceptance
 from calib.photographs.detection import Detection
 from calib.photographs.hand_eye import HandEye
@@ -61,7 +61,7 @@ def _image_charts(result: HandEye) -> Charts:
     scene = result.scene
     used, left, board = (result.rms_by_image(v) for v in (result.pixels, result.left_out.pixels, result.board))
     texts = tuple(
-        f"image {name}: {u:.2f} px RMS used, {o:.2f} px left out, {millimetres(b):.3f} mm on the board"
+        f"image {name}: {u:.2f} px RMS used, {o:.2f} px left out, {quantity_text(b, 'mm', '.3f')} on the board"
         for name, u, o, b in zip(scene.names, used, left, board, strict=True)
     )
     images = np.arange(len(scene))

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib import Fit
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, quantity
+from calib.core.base.units import ERROR_UNIT, error_scale, millimetres, quantity
 from calib.core.fitting.error_sets import STATES
 from calib.core.numerics import linalg
 from viz.charts import COLOURS, Chart, PageRows, axis, layer, panel
@@ -19,7 +19,6 @@ from viz.remarks import tolerance
 from viz.scene import ViewerJoint, ViewerScene
 from viz.scene_data import colours, ranges, rows_of
 
-_MM = PER_SI["length"]["mm"]
 _MEANS = 12  # places along a joint at which residuals are averaged
 _CELLS = 9  # cells along the longer side of a plane
 _FLAT = 0.05  # places lie on a plane if their extent across it is below this part of their extent in it
@@ -169,12 +168,12 @@ class _Part:
 
     def moves(self) -> bool:
         """Whether the places of the errors differ; those of a camera mount that only turns are one."""
-        places = _MM * self._rows.anchors[np.isfinite(self._rows.anchors).all(axis=1)]
+        places = millimetres(self._rows.anchors[np.isfinite(self._rows.anchors).all(axis=1)])
         return bool(len(places)) and float(np.ptp(places, axis=0).max()) > _AT_REST
 
     def planes(self) -> Chart:
         """Errors after calibration on three planes, with the mean of each cell."""
-        places, size = _MM * self._rows.anchors, self._sizes["after"]
+        places, size = millimetres(self._rows.anchors), self._sizes["after"]
         known = np.flatnonzero(np.isfinite(places).all(axis=1) & np.isfinite(size))
         known = known[np.argsort(size[known], kind="stable")]  # the largest on top
         usual = ~self._rows.outlier[known]

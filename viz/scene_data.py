@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale
+from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
 from calib.core.fitting.error_sets import STATES
 from calib.core.instruments.position import POSITION
 from viz.bodies import PosedRobot
@@ -35,7 +35,6 @@ _MARKS = {IDENTIFICATION: "disc", VALIDATION: "diamond", MEASURED: "square", EXC
 _MARKS[COLLIDES] = "alarm"
 _SHORT = {IDENTIFICATION: "fit", VALIDATION: "val", MEASURED: "meas", EXCLUDED: "out"}  # suffixes of repeated names
 _SHORT |= {PLANNED: "plan", COLLIDES: "hits"}
-_MM = PER_SI["length"]["mm"]
 _ELLIPSOID = 0.012  # of the scene's size: length of typical enlarged half axes at first
 _COLOURED = 0.95  # part of the errors that have colours of their own; larger ones share the last
 _EXACT = 1e-12  # [SI]: smallest range of colours, for errors of zero
@@ -99,7 +98,7 @@ def summary(scene: ViewerScene) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"group": name, "count": int(np.sum(chosen))}
         for state in scene.states:
             lengths = np.linalg.norm(scene.poses.error(state)[chosen], axis=1)
-            lengths = _MM * lengths[np.isfinite(lengths)]
+            lengths = millimetres(lengths[np.isfinite(lengths)])
             known = {"rms": float(np.sqrt(np.mean(lengths**2))), "max": float(lengths.max())} if len(lengths) else None
             row[state] = known
         if row["count"] and scene.states and scene.shows_poses:
@@ -121,10 +120,10 @@ def certainty(scene: ViewerScene) -> dict[str, Any]:
     spread = np.linalg.norm(table.spread, axis=1)
     spread = spread[np.isfinite(spread) & np.any(spread > _EXACT)]
     return {
-        "noise": _MM * float(np.median(noise[known])) if np.any(known) else None,
-        "means": [_MM * float(pick(table.sigma[known])) for pick in (np.min, np.max)] if np.any(known) else None,
+        "noise": millimetres(float(np.median(noise[known]))) if np.any(known) else None,
+        "means": [millimetres(float(pick(table.sigma[known]))) for pick in (np.min, np.max)] if np.any(known) else None,
         "readings": [int(pick(table.readings[known])) for pick in (np.min, np.max)] if np.any(known) else None,
-        "predicted": [_MM * float(spread.mean()), _MM * float(spread.max())] if len(spread) else None,
+        "predicted": [millimetres(float(length)) for length in (spread.mean(), spread.max())] if len(spread) else None,
     }
 
 
@@ -251,7 +250,7 @@ def mean_distances(scene: ViewerScene, other: Mapping[str, Any]) -> list[float] 
         )
         if errors.part.name == other["part"] and not errors.turns and np.any(chosen):
             squares = (np.sum(errors.arrows(state)[chosen] ** 2, axis=1) for state in STATES)
-            return [_MM * float(np.sqrt(np.nanmean(square))) for square in squares]
+            return [millimetres(float(np.sqrt(np.nanmean(square)))) for square in squares]
     return None
 
 

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, Component
-from calib.core.base.units import Dimension, error_scale, quantity_text
+from calib.core.base.units import ERROR_UNIT, Dimension, error_scale, quantity_text
 from calib.core.robots import kinematics
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.joint_sampling import joint_samples
@@ -63,7 +63,9 @@ class Gap:
 
     def text(self) -> str:
         """Return a sentence on the gap, in mm or mrad."""
-        apart, change = (quantity_text(value, self.dimension, ".4f") for value in (self.at_home, self.change))
+        apart, change = (
+            quantity_text(value, ERROR_UNIT[self.dimension], ".4f") for value in (self.at_home, self.change)
+        )
         which = f"loop {self.name}, direction {self.direction}"
         if max(abs(self.at_home), self.change) < 1e-9:
             return f"{which}: stays closed in {self.n_poses} poses{self.where}; a 3D constraint has nothing to absorb"

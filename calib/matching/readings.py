@@ -23,7 +23,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
-from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.units import PER_SI, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.column_maps import likely_maps
@@ -175,7 +175,7 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
     if spread < _STILL:
         raise DataError(
-            f"{pairs.path}: the tool moves by {millimetres(spread):.1f} mm only (RMS,"
+            f"{pairs.path}: the tool moves by {quantity_text(spread, 'mm', '.1f')} only (RMS,"
             f" {count_noun(len(pairs), 'pair')}); add pairs in which all joints turn far"
         )
     limit = _FIT * spread
@@ -187,8 +187,8 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     if best.miss > limit:
         raise DataError(
             f"{pairs.path}: no reading of the columns brings the poses near {robot.path}; the nearest"
-            f" ({best.reading.words()}) leaves {millimetres(best.miss):.0f} mm. Check that it is this robot, that all"
-            " rows have one tool and one base, and that joint values and pose of a row belong together"
+            f" ({best.reading.words()}) leaves {quantity_text(best.miss, 'mm', '.0f')}. Check that it is this robot,"
+            " that all rows have one tool and one base, and that joint values and pose of a row belong together"
         )
     alike: list[PlacedInterpretation] = []
     for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), one.miss)):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from calib.core.base.files import write_files
-from calib.core.base.units import error_scale, millimetres
+from calib.core.base.units import error_scale, millimetres, quantity_text
 from calib.core.base.words import as_data, count_noun, plain_text
 from calib.core.judging.verdict import JudgedFit
 from calib.core.results.results import save
@@ -65,7 +65,7 @@ class Match:
                 f" pair to {_mm(agreed.left_out)} (RMS), and the file's digits explain only"
                 f" {_mm(agreed.rounding_distance)}; {self._terms_tried()}"
             )
-        elsewhere = f"{_mm(agreed.claim)} and {agreed.turn_claim * error_scale('angle'):.2g} mrad at 95 % of all poses"
+        elsewhere = f"{_mm(agreed.claim)} and {quantity_text(agreed.turn_claim, 'mrad', '.2g')} at 95 % of all poses"
         sentence = f"agrees to {_mm(agreed.rms)} (RMS), the rounding of the file; at other poses within {elsewhere}"
         if agreed.claim > _OF_DIGITS * agreed.rounding_distance:
             return f"{sentence}: these pairs leave some joints open; add pairs in which all joints turn far"
@@ -138,4 +138,4 @@ class Match:
 
 
 def _mm(length: float) -> str:
-    return f"{millimetres(length):.2g} mm"
+    return quantity_text(length, "mm", ".2g")

@@ -17,6 +17,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
+from calib.core.base.units import in_unit, millimetres
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.board import Board
 from calib.core.instruments.camera import project, rays
@@ -133,9 +134,12 @@ def example(board: Board, count: int, generator: np.random.Generator) -> dict[st
         files[f"shot_{k + 1:02d}.png"] = encode(photographer.photograph(T_camera_board, generator))
         tool = T_base_board @ np.linalg.inv(T_camera_board) @ np.linalg.inv(T_tool_camera)
         error = 2e-4 * generator.standard_normal(6)
-        true_tool = tool @ _pose(tuple(error[:3]), tuple(np.rad2deg(error[3:])))
+        true_tool = tool @ _pose(tuple(error[:3]), tuple(in_unit(error[3:], "deg")))
         quaternion = scipy.spatial.transform.Rotation.from_matrix(true_tool[:3, :3]).as_quat(canonical=True)
-        numbers = [*(f"{1e3 * value:.4f}" for value in true_tool[:3, 3]), *(f"{value:.7f}" for value in quaternion)]
+        numbers = [
+            *(f"{value:.4f}" for value in millimetres(true_tool[:3, 3])),
+            *(f"{value:.7f}" for value in quaternion),
+        ]
         lines.append(",".join([f"shot_{k + 1:02d}.png", *numbers]))
     files["poses.csv"] = ("# simulated: a camera on the tool\n" + "\n".join(lines) + "\n").encode()
     truth = {

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from rich.table import Table as Printed
 
-from calib.core.base.units import millimetres
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import as_data, count_noun, plain_text, text_table
 from calib.core.commands.next_steps import NOISE, words_of
 from calib.core.data.instrument_cells import columns_in
@@ -128,12 +128,12 @@ def _lines_of(table: Table, poses: Sequence[tuple[int, str]]) -> dict[str, list[
 def _summary(s: Selection, poses: Poses) -> list[str]:
     lines = [f"{_count_sentence(s, poses)}, chosen by {s.index}"]
     if s.efficiency is not None and s.bound is not None:
-        reached, bound = (f"{_in_table_unit(s.index, value):.5g}" for value in (s.after[s.index], s.bound))
-        least = math.floor(1000 * min(s.efficiency, 1.0)) / 10
+        reached, least = s.after[s.index], math.floor(1000 * min(s.efficiency, 1.0)) / 10
         lines.append(
-            f"Error over the task {reached} mm; no choice of {len(s)} candidates goes below {bound} mm (certified)"
+            f"Error over the task {quantity_text(reached, 'mm', '.5g')}; no choice of {len(s)} candidates goes below"
+            f" {quantity_text(s.bound, 'mm', '.5g')} (certified)"
             if s.index == TASK
-            else f"{s.index} = {reached}: at least {least:.1f} % of the best possible choice (certified)"
+            else f"{s.index} = {reached:.5g}: at least {least:.1f} % of the best possible choice (certified)"
         )
     if s.index not in CERTIFIED and len(s.runs) == 1 and len(s) < len(poses):
         lines.append(f"No bound is known for {s.index}, and one start was tried: --starts 5 may find better")
@@ -163,7 +163,7 @@ def _indices(s: Selection) -> Printed:
 
 
 def _remarks(s: Selection) -> list[str]:
-    lines = [f"Targets of any two poses are at least {millimetres(s.distance):.3g} mm apart"] if s.distance else []
+    lines = [f"Targets of any two poses are at least {quantity_text(s.distance, 'mm')} apart"] if s.distance else []
     lines += [
         f"Order of measurement: travel {s.travel[1]:.1f} joint ranges, {s.travel[0]:.1f} in the candidates' order"
     ]

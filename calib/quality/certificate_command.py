@@ -23,6 +23,7 @@ from calib.core.base.errors import ComputationError, InputError, nearest
 from calib.core.base.files import read_bytes
 from calib.core.base.sections import read_yaml
 from calib.core.base.threads import one_blas_thread
+from calib.core.base.units import quantity_text
 from calib.core.base.version import DISTRIBUTION
 from calib.core.commands.common import Output, shared_options
 from calib.core.data.measurement_files import read_poses
@@ -118,13 +119,12 @@ def command(
     if sign is not None:  # sign the written file, which also names the program
         output.write(out + ENDING, sign(read_bytes(out, "a certificate", InputError)))
     output.say(
-        f"U = {1e6 * found.expanded_uncertainty:.4g} um (k = {found.coverage_factor:.2f}, 95 %) for one coordinate of"
-        f" the tool, at poses like the {content['n_poses']} measured"
+        f"U = {quantity_text(found.expanded_uncertainty, 'um', '.4g')} (k = {found.coverage_factor:.2f}, 95 %) for one"
+        f" coordinate of the tool, at poses like the {content['n_poses']} measured"
     )
     if draws:
-        difference = (
-            f"they differ by {100 * drawn.difference:.1f} % from the budget ({1e6 * found.combined_uncertainty:.4g} um)"
-        )
+        of_budget = quantity_text(found.combined_uncertainty, "um", ".4g")
+        difference = f"they differ by {100 * drawn.difference:.1f} % from the budget ({of_budget})"
         output.say(f"Monte Carlo: {drawn.draws} draws, {difference}")
     if not stated.model_fields_set:
         output.note("note: no 'traceability' is stated: the budget knows nothing of instrument and temperature")

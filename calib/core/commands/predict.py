@@ -81,7 +81,7 @@ def _expected_error(claim: Claim | None, known: float) -> tuple[dict[str, float]
     if claim is None or not np.isfinite(claim.at_measured_poses.limit95 + claim.rms):
         return None, ""
     here, scale = claim.error_at(known), error_scale("length")
-    words = f"The real tool is within {quantity_text(here.limit95, 'length')} of these positions, 95 % of the time"
+    words = f"The real tool is within {quantity_text(here.limit95, 'mm')} of these positions, 95 % of the time"
     if here.times < _FURTHER:
         words += f", {claim.region}"
     else:

@@ -8,7 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from calib.core.base.contributions import Contributions, names_of
-from calib.core.base.units import display_unit, error_unit, millimetres
+from calib.core.base.units import display_unit, error_unit, millimetres, quantity_text
 from calib.core.base.words import as_data, count_noun, listing, plain_text, text_table
 from calib.core.fitting.error_sets import error_table
 from calib.core.judging.acceptance import Acceptance
@@ -166,7 +166,7 @@ def _errors(acceptance: Acceptance) -> list[str]:
             f"Position errors over {count_noun(data.n_poses, 'pose')}: {rms:.4f} mm RMS,"
             f" {table['max']:.4f} mm at worst; expected{with_it}: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
             f" uncertainty of the calibration {left_open:.4f} mm); an unchanged robot"
-            f" exceeds {millimetres(acceptance.limit):.4f} mm RMS in 1 of {1 / UNLIKELY:.0f} cases"
+            f" exceeds {quantity_text(acceptance.limit, 'mm', '.4f')} RMS in 1 of {1 / UNLIKELY:.0f} cases"
         )
         times = rms / promised
         if (times > 1.0) != (acceptance.ratio > 1.0) and abs(times - acceptance.ratio) > _APART:

@@ -118,7 +118,7 @@ def start_lines(fit: Fit) -> list[str]:
     if fit.starts is None:
         return []
     dimension = fit.identification.main_part.dimension
-    minima = [f"RMS {quantity_text(m.rms, dimension, '.4f')} from {m.count}" for m in fit.starts.minima]
+    minima = [f"RMS {quantity_text(m.rms, ERROR_UNIT[dimension], '.4f')} from {m.count}" for m in fit.starts.minima]
     failed = f", {fit.starts.failed} failed" if fit.starts.failed else ""
     return [f"{count_noun(fit.starts.total, 'start')} (seed {fit.starts.seed}): {listing(minima, '; ')}{failed}"]
 

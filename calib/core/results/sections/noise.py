@@ -102,7 +102,7 @@ def repeat_lines(fit: Fit) -> list[str]:
     lines = []
     scatter, _ = repeatability(fit.identification)
     if np.isfinite(scatter):
-        lines.append(f"Scatter of the repeats: {quantity_text(scatter, 'length', '.4g')} per axis")
+        lines.append(f"Scatter of the repeats: {quantity_text(scatter, 'mm', '.4g')} per axis")
     for name, errors in (("used", fit.identification), ("not used", fit.validation)):
         table = None if errors is None else repeat_table(errors)
         if errors is not None and table is not None:

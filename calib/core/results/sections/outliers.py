@@ -143,7 +143,7 @@ def outliers_left_out(fit: Fit) -> list[str]:
         return []
     before, after = (either.identification.table()["after"]["rms"] for either in (fit.with_all, fit))
     dimension = fit.identification.main_part.dimension
-    unit, noise = ERROR_UNIT[dimension], quantity_text(fit.with_all.sigma, dimension, ".4g")
+    unit, noise = ERROR_UNIT[dimension], quantity_text(fit.with_all.sigma, ERROR_UNIT[dimension], ".4g")
     layout, left = fit.with_all.rows.layout, fit.rows.layout.n_readings
     several = layout.n_readings > len(np.unique(layout.visit))
     count = f" ({layout.n_readings - left} of {layout.n_readings} readings)" if several else ""

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib import Progress
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import CalibrationError, InputError
+from calib.core.base.errors import CalibrationError, require_package
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.version import DISTRIBUTION
 from viz.bodies import posed_robot
@@ -42,13 +42,8 @@ class DraggedView:
     """
 
     def __init__(self, shown: ShownScene, port: int = 0) -> None:
-        try:
-            import viser
-        except ImportError:
-            raise InputError(
-                "--drag shows the robot with viser, which is not installed: pip install viser"
-                f" (or {DISTRIBUTION}[viser])"
-            ) from None
+        missing = "--drag shows the robot with viser, which is not installed: pip install viser"
+        viser = require_package("viser", f"{missing} (or {DISTRIBUTION}[viser])")
         with _silence():
             self.server = viser.ViserServer(ADDRESS, port, label=shown.scene.title, verbose=False)
         self._draw(shown)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.core.base.arrays import IntArray
-from calib.core.base.errors import InputError
+from calib.core.base.errors import require_package
 from calib.core.base.units import error_scale
 from calib.core.base.version import DISTRIBUTION
 from calib.core.fitting.error_sets import STATES
@@ -29,12 +29,8 @@ def recording(scene: ViewerScene) -> bytes:
     Raises:
         InputError: rerun is not installed.
     """
-    try:
-        import rerun as rr
-    except ImportError:
-        raise InputError(
-            f"--rrd needs rerun, which is not installed: pip install rerun-sdk (or {DISTRIBUTION}[rerun])"
-        ) from None
+    missing = f"--rrd needs rerun, which is not installed: pip install rerun-sdk (or {DISTRIBUTION}[rerun])"
+    rr = require_package("rerun", missing)
     stream = rr.RecordingStream(f"calibration of {scene.title}")
     kept = stream.memory_recording()
     stream.log("scene", rr.Transform3D(mat3x3=scene.view.upright), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)

@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 
 import click
 
-from calib.core.base.errors import ComputationError, InputError, nearest
+from calib.core.base.errors import ComputationError, InputError, nearest, require_package
 from calib.core.base.files import read_bytes
 from calib.core.base.sections import read_yaml
 from calib.core.base.threads import one_blas_thread
@@ -196,10 +196,8 @@ def verify(path: str, key: str) -> None:
 
 
 def _library(name: str) -> Any:
-    try:
-        return import_module(f"cryptography.hazmat.primitives.{name}")
-    except ImportError:
-        raise InputError(f"a signature needs cryptography: pip install '{DISTRIBUTION}[certificate]'") from None
+    missing = f"a signature needs cryptography: pip install '{DISTRIBUTION}[certificate]'"
+    return require_package(f"cryptography.hazmat.primitives.{name}", missing)
 
 
 def _read_kind(path: str, kind: str, load: Callable[[], Any]) -> Any:

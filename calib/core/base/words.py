@@ -9,7 +9,6 @@ import logging
 import math
 import textwrap
 from collections.abc import Collection, Iterable, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from calib.core.base.errors import InputError
+from calib.core.base.errors import require_package
 
 _LISTED = 5
 
@@ -147,10 +146,7 @@ def data_frame(rows: Sequence[dict[str, object]]) -> Any:
 
 def pandas() -> Any:
     """Return pandas; its absence is an `InputError`."""
-    try:
-        return import_module("pandas")
-    except ImportError:
-        raise InputError("pandas is not installed; `pip install pandas` first") from None
+    return require_package("pandas", "pandas is not installed; `pip install pandas` first")
 
 
 def _cell(value: object) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from calib.core.base.files import write_files
 from calib.core.base.units import error_scale, millimetres, quantity_text
-from calib.core.base.words import as_data, count_noun, plain_text
+from calib.core.base.words import as_data, count_noun, json_file, plain_text
 from calib.core.judging.verdict import JudgedFit
 from calib.core.results.results import save
 from calib.core.robots.file_formats import formats, robot_for
@@ -126,7 +125,7 @@ class Match:
             force: Whether to replace files that this program did not write.
         """
         save(self.fit, folder, force=force or (self.grade != "FAIL"))
-        files = {Path(folder) / "match.json": (json.dumps(self.to_dict(), indent=1) + "\n").encode()}
+        files = {Path(folder) / "match.json": json_file(self.to_dict())}
         if self.grade != "FAIL" or force:
             for name, file in FILES.items():
                 each = formats().get(name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
@@ -12,7 +11,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.contributions import Contributions, Uncertainty, names_of
 from calib.core.base.units import millimetres, quantity_text
-from calib.core.base.words import as_data, count_noun, listing
+from calib.core.base.words import count_noun, json_file, listing
 from calib.core.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
 from calib.photographs.estimation import LITTLE_TURN, rms, turning
 from calib.photographs.hand_eye import HandEye
@@ -246,17 +245,12 @@ def _place(parent: str, child: str, pose: FloatArray, half: tuple[float, float])
     }  # fmt: skip
 
 
-def as_json(data: Mapping[str, object]) -> bytes:
-    """Return data as the content of a JSON file."""
-    return (json.dumps(as_data(data), indent=1, allow_nan=False) + "\n").encode()
-
-
 def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
     """Return the transform of the camera as files of other programs, by name."""
     intrinsics = result.fitted.placed.intrinsics
     width, height = result.scene.size
     return {
-        "hand_eye.json": as_json(content(result, frames)),
+        "hand_eye.json": json_file(content(result, frames)),
         **transform_files(result.fitted.placed.camera, result.scene.mount, frames),
         "camera_info.yaml": (
             f"image_width: {width}\nimage_height: {height}\ncamera_name: camera\n"

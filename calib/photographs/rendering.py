@@ -8,7 +8,6 @@ nothing hides the board.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,6 +17,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.units import in_unit, millimetres
+from calib.core.base.words import json_file
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.board import Board
 from calib.core.instruments.camera import project, rays
@@ -148,7 +148,7 @@ def example(board: Board, count: int, generator: np.random.Generator) -> dict[st
         "board_in_base": T_base_board.tolist(),
         "intrinsics": intrinsics.tolist(),
     }
-    files["truth.json"] = (json.dumps(truth, indent=1) + "\n").encode()
+    files["truth.json"] = json_file(truth)
     return files
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import json
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -25,6 +24,7 @@ from calib.core.base.sections import read_yaml
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.units import quantity_text
 from calib.core.base.version import DISTRIBUTION
+from calib.core.base.words import json_file
 from calib.core.commands.common import Output, shared_options
 from calib.core.data.measurement_files import read_poses
 from calib.core.results.loaded_result import LoadedResult
@@ -40,7 +40,7 @@ _WRITERS: dict[str, Callable[[Mapping[str, Any]], bytes]] = {
     ".xml": xml,
     ".pdf": lambda content: document(content).pdf(),
     ".html": lambda content: document(content).html().encode(),
-    ".json": lambda content: (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode(),
+    ".json": json_file,
 }
 _COMMENTS = {".pdf": "%"}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import html
 import io
+import json
 import logging
 import math
 import textwrap
@@ -122,6 +123,11 @@ def as_data(value: Any) -> Any:
         return [as_data(entry) for entry in value]
     number = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(number, float) and not math.isfinite(number) else number
+
+
+def json_file(content: object) -> bytes:
+    """Return data as the content of a JSON file; null for unknown numbers."""
+    return (json.dumps(as_data(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
 
 
 def table_html(rows: Sequence[dict[str, object]]) -> str:

@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.core.base.units import in_unit, millimetres
 from calib.core.fitting.error_sets import STATES
 from calib.core.instruments.position import POSITION
 from viz.bodies import PosedRobot
@@ -214,7 +214,7 @@ def _parts(scene: ViewerScene) -> list[dict[str, Any]]:
     factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
     parts = []
     for rows, enlargements in zip(rows_of(scene), factors, strict=True):
-        is_position, scale = rows.part.is_position, _scale(rows)
+        is_position = rows.part.is_position
         every = {state: scene.poses.error(state) for state in STATES} if is_position else {}
         sizes = {state: np.linalg.norm(errors, axis=1) for state, errors in every.items()}
         sizes = sizes or {state: rows.sizes(state) for state in STATES}
@@ -222,12 +222,12 @@ def _parts(scene: ViewerScene) -> list[dict[str, Any]]:
         parts.append(
             {
                 "name": rows.part.name,
-                "unit": ERROR_UNIT[rows.part.dimension],
+                "unit": rows.unit,
                 "axes": list(rows.part.axes),
                 "position": is_position,
                 "turns": rows.turns,
                 "vector_factors": enlargements,
-                "range": {state: [scale * low, scale * high] for state, (low, high) in limits.items()},
+                "range": {state: [in_unit(end, rows.unit) for end in ends] for state, ends in limits.items()},
             }
         )
     return parts
@@ -275,7 +275,7 @@ def _table(scene: ViewerScene) -> dict[str, Any]:
         "after": [rows.after for rows in parts],
         "sigma": [points.sigma, np.full(n_others, np.nan)],
         "spread": [points.spread, np.full((n_others, 3), np.nan)],
-        **{f"size_{state}": [_scale(errors) * errors.sizes(state) for errors in scene.readings] for state in STATES},
+        **{f"size_{state}": [in_unit(rows.sizes(state), rows.unit) for rows in scene.readings] for state in STATES},
         **{f"residual_{state}": [_components(errors, state) for errors in scene.readings] for state in STATES},
     }
     return {
@@ -291,14 +291,10 @@ def _table(scene: ViewerScene) -> dict[str, Any]:
     }
 
 
-def _scale(errors: ReadingErrors) -> float:
-    return error_scale(errors.part.dimension)
-
-
 def _components(errors: ReadingErrors, state: str) -> FloatArray:
     """The first components of errors, in the unit of the part, (n, _MOST_AXES); NaN for missing ones."""
     components = np.full((len(errors), _MOST_AXES), np.nan)
-    kept = _scale(errors) * errors.residuals(state)[:, :_MOST_AXES]
+    kept = in_unit(errors.residuals(state)[:, :_MOST_AXES], errors.unit)
     components[:, : kept.shape[1]] = kept
     return components
 

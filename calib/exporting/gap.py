@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, Component
-from calib.core.base.units import ERROR_UNIT, Dimension, error_scale, quantity_text
+from calib.core.base.units import ERROR_UNIT, Dimension, in_unit, quantity_text
 from calib.core.robots import kinematics
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.joint_sampling import joint_samples
@@ -134,7 +134,7 @@ def require_small(robot: Robot, gaps: tuple[Gap, ...]) -> None:
         limit = LARGEST_CHANGE * (1.0 if gap.direction in ANGLE_COMPONENTS else robot.mechanism.length)
         if gap.change > limit:
             raise InputError(
-                f"{gap.text()}, more than {error_scale(gap.dimension) * limit:.3g}: the mechanism moves in this"
+                f"{gap.text()}, more than {in_unit(limit, ERROR_UNIT[gap.dimension]):.3g}: the mechanism moves in this"
                 " direction; use the variant with free slides (--free-slide)"
             )
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from calib.core.base.files import write_files
-from calib.core.base.units import error_scale, millimetres, quantity_text
+from calib.core.base.units import in_unit, millimetres, quantity_text
 from calib.core.base.words import as_data, count_noun, json_file, plain_text
 from calib.core.judging.verdict import JudgedFit
 from calib.core.results.results import save
@@ -101,7 +101,7 @@ class Match:
             "left_out_in_turn": millimetres(agreed.left_out),
             "digits_allow": millimetres(agreed.rounding_distance),
             "claim": millimetres(agreed.claim) if agreed.to_the_digits else None,
-            "claim_angle": agreed.turn_claim * error_scale("angle") if agreed.to_the_digits else None,
+            "claim_angle": in_unit(agreed.turn_claim, "mrad") if agreed.to_the_digits else None,
         }
         return as_data(
             {

@@ -33,7 +33,7 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.parameter import Parameter
-from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale, quantity_text
+from calib.core.base.units import DISPLAY_UNIT, Dimension, quantity_text
 from calib.core.robots.parameters import Origin, ResultUse, twist_of_edit
 from calib.shared.plan import BASE, Plan
 
@@ -251,7 +251,7 @@ parametrisation: {NAME}
 def _in_use(saved: DeltaGeometry) -> str:
     texts: dict[Dimension, list[str]] = {"length": [], "angle": []}
     for (name, (dimension, _)), value in zip(PARAMETERS.items(), saved.values, strict=True):
-        texts[dimension].append(f"{name}: {value * display_scale(dimension):.6f} {DISPLAY_UNIT[dimension]}")
+        texts[dimension].append(f"{name}: {quantity_text(value, DISPLAY_UNIT[dimension], '.6f')}")
     entries = ", ".join([*texts["length"], *texts["angle"]])
     return f"\n# What the firmware uses now. It was computed from the same rows.\nin_use: {{{entries}}}\n"
 

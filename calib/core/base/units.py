@@ -174,26 +174,6 @@ def mapped_column(text: str) -> MappedColumn:
     return MappedColumn(match["name"], unit, factor, offset)
 
 
-def error_unit(dimension: Dimension) -> tuple[str, float]:
-    """Return the unit of errors in tables, and the factor to it from SI: mm and mrad, 1000."""
-    return ERROR_UNIT[dimension], error_scale(dimension)
-
-
-def display_unit(dimension: Dimension) -> tuple[str, float]:
-    """Return the unit of values in files and tables, such as mm and deg, and the factor to it from SI."""
-    return DISPLAY_UNIT[dimension], display_scale(dimension)
-
-
-def error_scale(dimension: Dimension) -> float:
-    """Return the factor from SI to the unit of errors in tables: 1000 for lengths and angles, in mm and mrad."""
-    return PER_SI[dimension][ERROR_UNIT[dimension]]
-
-
-def display_scale(dimension: Dimension) -> float:
-    """Return the factor from SI to the unit of files and tables, such as mm and degrees."""
-    return PER_SI[dimension][DISPLAY_UNIT[dimension]]
-
-
 def in_unit(value: Values, unit: str) -> Values:
     """Return an SI value, or an array of them, in a unit of `PER_SI`, such as `deg`."""
     return value * _SCALES[unit]

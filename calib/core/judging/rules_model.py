@@ -10,7 +10,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
-from calib.core.base.units import ERROR_UNIT, error_scale, in_unit, millimetres, quantity_text
+from calib.core.base.units import ERROR_UNIT, in_unit, millimetres, quantity_text
 from calib.core.base.words import count_noun, joints_named, listing, significant
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import moved_frame
@@ -134,8 +134,8 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
         states = fit.identification.before, fit.identification.after
         sizes = [float(np.nanmean(errors[instrument.name][kept][:, of_part] ** 2)) for errors in states]
         if sizes[1] > HARM**2 * sizes[0]:
-            scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
-            before_rms, after_rms = (scale * float(np.sqrt(size * len(part.axes))) for size in sizes)
+            unit = ERROR_UNIT[part.dimension]
+            before_rms, after_rms = (in_unit(float(np.sqrt(size * len(part.axes))), unit) for size in sizes)
             yield Code.INSTRUMENTS_DISAGREE.says(
                 f"readings of {instrument.name}, {part.name}, fit worse than before ({after_rms:.4g} {unit} RMS,"
                 f" {before_rms:.4g} before), while those of other instruments fit better: the instruments contradict"

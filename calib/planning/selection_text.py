@@ -36,7 +36,6 @@ def text_report(selection: Selection, poses: Poses, width: int = 120) -> str:
 def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
     """Return the result as data for JSON; the task index in mm, unknown and infinite numbers None."""
     s = selection
-    certified = s.efficiency is not None
     return as_data(
         {
             "index": s.index,
@@ -50,7 +49,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
             "measured_only": None if s.measured_only is None else _values(s.measured_only),
             "efficiency": s.efficiency,
             "efficiency_percent": 100 * s.efficiency if s.efficiency is not None else None,
-            "bound": _in_table_unit(s.index, s.bound) if certified else None,
+            "bound": None if s.bound is None else _in_table_unit(s.index, s.bound),
             "runs": [_run(run, s, poses) for run in s.runs],
             "travel_joint_ranges": {"candidate_order": s.travel[0], "this_order": s.travel[1]},
             "rank": s.rank.rank,
@@ -215,14 +214,12 @@ def _candidate(s: Selection, poses: Poses, number: int) -> str:
     return f"{poses.names[pose]} ({s.groups[group]})" if s.groups else poses.names[pose]
 
 
-def _values(values: dict[str, float]) -> dict[str, float | None]:
+def _values(values: dict[str, float]) -> dict[str, float]:
     return {key: _in_table_unit(key, value) for key, value in values.items()}
 
 
-def _in_table_unit(index: str, value: float | None) -> float:
+def _in_table_unit(index: str, value: float) -> float:
     """An index in its printed unit: mm for the task index."""
-    if value is None:
-        return math.nan
     return millimetres(value) if index == TASK else value
 
 

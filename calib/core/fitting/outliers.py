@@ -4,22 +4,30 @@ An outlier is alone where the other readings of its visit agree with the fit: a 
 one target of several. The readings of a visit are off together where more than half of them are as far off as only one
 good reading in a hundred is: a wrong image, a wrong pose of the robot, a board that was moved. With one reading per
 visit, the two cases are the same.
+
+A gross error of one reading says nothing of the errors that all poses have, but its square would count as theirs. So
+what is found of these errors reads an outlier with the weight (T_0 / T)^2, with T its studentised error and T_0 the
+largest one that is no outlier: as if its noise were so much larger.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.memoize import memoize
 from calib.core.base.units import ERROR_UNIT, quantity_text
 from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.instruments.kind import Instrument
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.losses import StudentisedErrors
-from calib.core.rows.rows import Layout
+from calib.core.rows.rows import Layout, Rows
+
+_LEAST_FACTOR = 1e-3  # least found noise over stated noise of a group, as part of this ratio for all groups
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,40 @@ class Outlier:
         """The reading and its error in words."""
         what = f"{self.target} {self.detail}" if self.detail else self.target
         return f"{what}: {self.size} off, {self.studentised:.1f} times the error expected there"
+
+
+@memoize
+def studentise_errors(fit: SolvedFit) -> StudentisedErrors:
+    """Return the studentised error of every used reading; see `calib.core.numerics.losses`."""
+    return _studentise(fit, fit.rows, fit.root, fit.weights)
+
+
+def bounded_weights(fit: SolvedFit) -> FloatArray:
+    """Return the weights of the readings, those of outliers by the module docstring, (n_readings,).
+
+    Outliers pull a fit to themselves, so their errors are those by the linear fit without them.
+    """
+    errors, is_outlier = studentise_errors(fit), np.zeros(len(fit.weights), dtype=bool)
+    while not np.all(is_outlier[errors.outliers]):
+        is_outlier[errors.outliers] = True
+        weights = np.where(is_outlier, 0.0, fit.weights)
+        linear = fit.rows.with_weights(weights)
+        rows = replace(fit.rows, residuals=fit.rows.residuals + fit.rows.jacobian @ linear.step())
+        errors = _studentise(fit, rows, linear.posterior_information.root, weights)
+    return np.minimum(fit.weights, errors.bounded_weights)
+
+
+def _studentise(fit: SolvedFit, rows: Rows, root: FloatArray, weights: FloatArray) -> StudentisedErrors:
+    number = rows.layout.group
+    # stated noise of groups may be wrong by different factors: each group is tested by its real noise
+    relative = np.maximum(fit.statistics.factors.values / noise_factor(fit), _LEAST_FACTOR)
+    divisor = np.where(number >= 0, relative[number], 1.0)
+    return replace(rows, residuals=rows.residuals / divisor).studentise(root, weights, fit.statistics.freedom)
+
+
+def noise_factor(fit: SolvedFit) -> float:
+    """Return the ratio of found to stated noise over all groups."""
+    return max(float(np.sqrt(np.mean(fit.statistics.factors.values**2))), 1e-30)
 
 
 def outliers_of(studentised: StudentisedErrors, error_set: ErrorSet, layout: Layout) -> tuple[Outlier, ...]:

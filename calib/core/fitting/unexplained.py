@@ -24,16 +24,16 @@ these count instead.
 The part that rows cannot tell from noise counts as delta, because the noise of readings does not move the tool
 (`calib.core.numerics.size_search.scatter_given_noise`). With known noise that part is zero; where all joints move all
 readings alike, as in a gantry, it is most of the residuals.
-Delta is no larger than if it alone explained the residuals. A reading at a pose has the noise beside delta
-(`reading_noise`): the found noise contains both. With a robust loss it is the found noise, as weighted
-residuals are smaller than noise.
+An outlier counts no more than the largest error that is none, since it may be a wrong reading
+(`calib.core.fitting.outliers`). Delta is no larger than if it alone explained the residuals. A reading at a pose has
+the noise beside delta (`reading_noise`): the found noise contains both. With a robust loss it is the found noise, as
+weighted residuals are smaller than noise.
 Delta is no part of the covariance of parameters, which is found from the same residuals. Of very many poses, a part
 determines it.
 
 When it fails. A stated noise that is too small counts as an error of the joints. Errors that the parameters absorbed
-show in no residual: at poses unlike the measured ones the robot may be further off. Gross errors that a robust loss
-lets through count, too. For a robot that its parameters describe, noise alone makes delta larger than 0 in about half
-of all fits.
+show in no residual: at poses unlike the measured ones the robot may be further off. For a robot that its parameters
+describe, noise alone makes delta larger than 0 in about half of all fits.
 
 Reference: kass1995; patterson1971.
 """
@@ -46,6 +46,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.threads import one_blas_thread
+from calib.core.fitting.outliers import bounded_weights
 from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.fitting.terms.candidate_terms import TELLS, CandidateTerm, candidates
 from calib.core.fitting.terms.kind_model import KindModel, with_kinds
@@ -85,7 +86,8 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
     model, units = KindModel(fit, kinds), np.where(stated, 1.0, fit.scales)
     read = model.informative_rows
     read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
-    at = solve_beside_noise(MixedModel.from_rows(model.rows(read, units, stated), _SHORTEST))
+    rows = model.rows(read, units, stated, bounded_weights(fit))
+    at = solve_beside_noise(MixedModel.from_rows(rows, _SHORTEST))
     if at is None:
         return UnexplainedErrors(found)
     delta, noise = scatter_given_noise(at), found

@@ -13,7 +13,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fit import errors_on, fit_of_a_part
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.outliers import Outlier, outliers_of, readings_of_outliers
+from calib.core.fitting.outliers import Outlier, noise_factor, outliers_of, readings_of_outliers, studentise_errors
 from calib.core.fitting.settings import Settings
 from calib.core.judging import residual_patterns
 from calib.core.judging.acceptance_system import System
@@ -27,18 +27,6 @@ from calib.core.numerics.losses import StudentisedErrors
 
 MOST_POSES = 10_000
 """Patterns, scales and causes are judged on at most this many poses: more take time, and hardly change the answer."""
-_LEAST_FACTOR = 1e-3  # least found noise over stated noise of a group, as part of this ratio for all groups
-
-
-@memoize
-def studentise_errors(fit: Fit) -> StudentisedErrors:
-    """Return the studentised error of every used reading; see `calib.core.numerics.losses`."""
-    factors, number = fit.statistics.factors.values, fit.rows.layout.group
-    # stated noise of groups may be wrong by different factors: each group is tested by its real noise
-    relative = np.maximum(factors / _factor(fit), _LEAST_FACTOR)
-    divisor = np.where(number >= 0, relative[number], 1.0)
-    rows = replace(fit.rows, residuals=fit.rows.residuals / divisor)
-    return rows.studentise(fit.root, fit.weights, fit.statistics.freedom)
 
 
 @memoize
@@ -48,12 +36,7 @@ def validation_studentised(fit: Fit) -> StudentisedErrors | None:
         return None
     rows = System.from_promise(Promise.from_calibration(fit), fit.validation.data, same_setup=True).rows
     unused, known = np.zeros(rows.layout.n_readings), np.eye(rows.jacobian.shape[1])
-    return rows.studentise(known, unused, fit.statistics.freedom, studentise_errors(fit).scale / _factor(fit))
-
-
-def _factor(fit: Fit) -> float:
-    """Ratio of found to stated noise over all groups."""
-    return max(float(np.sqrt(np.mean(fit.statistics.factors.values**2))), 1e-30)
+    return rows.studentise(known, unused, fit.statistics.freedom, studentise_errors(fit).scale / noise_factor(fit))
 
 
 @memoize

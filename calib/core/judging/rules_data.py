@@ -25,7 +25,7 @@ from calib.core.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import equal_columns, zero_visits, zeros_in_words
 from calib.core.fitting.moved_frame import moved_frame
-from calib.core.fitting.outliers import Outlier, outliers_in_words
+from calib.core.fitting.outliers import Outlier, outliers_in_words, studentise_errors
 from calib.core.fitting.pose_checks import tied_joints, unmoved_joints
 from calib.core.judging import findings
 from calib.core.judging.reasons import Answer, Code, Reason
@@ -273,7 +273,7 @@ def leverage(fit: Fit) -> Iterator[Reason]:
 
     A curve follows each pose a little; an error at any of them has only a local effect.
     """
-    deciding = findings.studentise_errors(fit).largest_leverage > HIGH_LEVERAGE
+    deciding = studentise_errors(fit).largest_leverage > HIGH_LEVERAGE
     lasting = fit.unknowns.family < 0
     if np.any(deciding) and not np.all(lasting):
         rows = fit.rows.select_parameters(lasting)

@@ -216,12 +216,14 @@ class StudentisedErrors(ReadOnlyArrays):
         leverage: Mean over the rows, (n_readings,).
         largest_leverage: Leverage along the worst direction, (n_readings,).
         chance: Chance of a residual at least this large if only this reading were tested, (n_readings,).
+        limit: Largest ratio of a reading that is no outlier, (n_readings,).
     """
 
     ratio: FloatArray
     leverage: FloatArray
     largest_leverage: FloatArray
     chance: FloatArray
+    limit: FloatArray
     scale: float
 
     @property
@@ -234,6 +236,12 @@ class StudentisedErrors(ReadOnlyArrays):
         """Outliers, worst first, (n_outliers,)."""
         outliers = np.flatnonzero(self.p_value < FALSE_ALARM)
         return outliers[np.argsort(-self.ratio[outliers], kind="stable")]
+
+    @property
+    def bounded_weights(self) -> FloatArray:
+        """Weights by which an outlier counts no more than the largest error that is none, (n_readings,)."""
+        beyond = self.ratio > self.limit
+        return np.where(beyond, (self.limit / np.where(beyond, self.ratio, 1.0)) ** 2, 1.0)
 
 
 def studentised(
@@ -269,5 +277,7 @@ def studentised(
     scale = float(np.median(size / median_length(widths))) if scale is None else scale
     scale = max(scale, _NO_NOISE)
     ratio = size / scale
-    chance = np.asarray(scipy.special.fdtrc(widths, max(freedom / 2.0, 1.0), ratio**2 / widths))
-    return StudentisedErrors(ratio, leverages, largest, chance, scale)
+    left, rare = max(freedom / 2.0, 1.0), FALSE_ALARM / max(len(widths), 1)
+    chance = np.asarray(scipy.special.fdtrc(widths, left, ratio**2 / widths))
+    limit = np.sqrt(widths * scipy.special.fdtri(widths, left, 1.0 - rare))
+    return StudentisedErrors(ratio, leverages, largest, chance, limit, scale)

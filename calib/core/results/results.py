@@ -28,7 +28,7 @@ from calib.core.data.measurement_columns import header, in_table_unit, joint_col
 from calib.core.data.table_writing import format_table
 from calib.core.fitting.error_sets import STATES, ErrorSet
 from calib.core.fitting.fitted import Fit
-from calib.core.judging import findings
+from calib.core.fitting.outliers import studentise_errors
 from calib.core.judging.reasons import Verdict
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.judging.verdict import judge
@@ -150,7 +150,7 @@ def _residual_columns(
     fit: Fit, label: str, error_set: ErrorSet, rows: Rows, name: str
 ) -> dict[str, Sequence[object] | FloatArray]:
     used = label == "identification"
-    studentised = findings.studentise_errors(fit)
+    studentised = studentise_errors(fit)
     layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.values**2))) if used else 1.0
     instrument = fit.nominal.instrument(name)
     of_instrument = layout.readings_of(name)

@@ -152,6 +152,14 @@ def test_with_five_percent_gross_errors_tukey_keeps_the_coverage_of_a_serial_arm
     assert covered.outliers > 0.99
 
 
+@pytest.mark.quick(0)
+@pytest.mark.amount(30, 400)
+def test_gross_errors_make_positions_as_uncertain_as_parameters_and_no_more(amount):
+    covered = coverage(*medrue_case(), amount, gross=0.05)
+    assert_between(replace(covered, positions=covered.parameters), 0.925, 0.975, amount)
+    assert_mean(np.mean(covered.positions), 0.95, amount, 0.02, 0.06)  # 98.9 % where they count as errors of joints
+
+
 def main(n):
     with tempfile.TemporaryDirectory() as folder:
         serial = six_axis_arm(Path(folder)), joints(40), joints(10, 5)

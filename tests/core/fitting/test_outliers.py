@@ -3,11 +3,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import f
 
 import calib
 from calib.core.data.tables import read_table
+from calib.core.fitting.outliers import bounded_weights, studentise_errors
 from calib.core.instruments.kind import Readings
-from calib.core.judging import findings
 from calib.core.numerics.losses import studentised
 from tests.core.instruments import test_kind_pixel as pixel
 from tests.six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, write_six_axis
@@ -76,7 +77,23 @@ def test_a_row_that_was_not_read_says_nothing_about_its_reading():
 
 def test_leverages_add_up_to_the_effective_parameters(arm):
     fit = calib.fit(arm, with_errors(arm, [], 0.0))
-    assert 3 * np.sum(findings.studentise_errors(fit).leverage) == pytest.approx(fit.statistics.effective_parameters)
+    assert 3 * np.sum(studentise_errors(fit).leverage) == pytest.approx(fit.statistics.effective_parameters)
+
+
+def test_an_outlier_has_the_weight_by_which_it_would_be_none_and_others_keep_theirs(arm):
+    wrong = np.array([3, 40, 60, 79])
+    data = with_errors(arm, wrong, [1e-3, 0, 0])
+    fit = calib.fit(arm, data)
+    weights = bounded_weights(fit)
+    assert np.all(np.delete(weights, wrong) == 1.0)
+    others = calib.fit(arm, data.subset(np.setdiff1d(np.arange(80), wrong)), validation=data.subset(wrong))
+    errors = others.validation.errors("after", "position", single=True)
+    noise = SIGMA**2 * (np.eye(3) + others.predict(data.joints[wrong]).covariance[:, 0] / others.sigma**2)
+    squares = np.einsum("ni,ni->n", errors, np.linalg.solve(noise, errors[:, :, None])[:, :, 0])
+    limit = 3 * f.isf(0.01 / 80, 3, fit.statistics.freedom / 2)
+    np.testing.assert_allclose(weights[wrong], limit / squares, rtol=0.2)  # the scale is a median of 80
+    good = calib.fit(arm, with_errors(arm, [], 0.0))
+    assert np.all(bounded_weights(good) == 1.0)
 
 
 @pytest.mark.parametrize("size", [5e-4, 5e-3])

@@ -1,7 +1,7 @@
 """Which joint terms a fit adds: what is there is found, what is not there is left out, intervals cover, real robots.
 
-`python -m tests.core.fitting.test_term_choice choice 100` and `... coverage 100` print the tables of
-docs/theory/joint_terms.md; a further number is the seed.
+`python -m tests.core.fitting.test_term_choice coverage 400` prints a table of docs/theory/joint_terms.md, and
+`... choice 100` how often terms are found; a further number is the seed.
 """
 
 import argparse
@@ -100,18 +100,21 @@ def choices(robot, terms, n, seed):
 
 @one_blas_thread
 def coverage(robot, terms, n, seed):
-    """Part of the 95 % intervals that hold the truth: of coefficients, and of positions at poses not measured."""
-    inside, held = [], []
+    """Parts of the 95 % intervals of each calibration that hold the truth, (n, 2).
+
+    They are those of coefficients, and of positions at poses not measured.
+    """
+    parts = []
     for number in range(n):
         true, data, elsewhere = simulated(robot, terms, np.random.default_rng([seed, number]))
-        fit = calib.fit(robot.with_terms(entries(robot, terms)), data)
+        fit = calib.fit(robot.with_terms(entries(robot, terms)), data, sigma=NOISE)
         known = dict(zip((p.name for p in true.parameters), true.values, strict=True))
         wide = fit.statistics.half_width
         own = [k for k, i in enumerate(fit.unknowns.index) if i >= fit.robot.coefficients.start]
         values = fit.robot.values[fit.unknowns.index]
-        inside += [abs(values[k] - known[fit.free_names[k]]) <= wide[k] for k in own]
-        held += position_errors(fit, true, elsewhere)[1]
-    return float(np.mean(inside)), float(np.mean(held))
+        inside = [abs(values[k] - known[fit.free_names[k]]) <= wide[k] for k in own]
+        parts.append((np.mean(inside), np.mean(position_errors(fit, true, elsewhere)[1])))
+    return np.array(parts)
 
 
 def position_errors(fit, true, q):
@@ -233,7 +236,7 @@ def test_candidates_say_why_they_cannot_be_tried():
 def test_intervals_of_terms_and_of_predictions_cover(tmp_path):
     # of 24 coefficients each that go together, 95 % +- 5; and half as much again for positions of the same fits
     for robot, n in ((example_arm(None), 2), (five_bar(tmp_path), 6)):
-        coefficients, positions = coverage(robot, ("gain", "backlash"), n, 12)
+        coefficients, positions = coverage(robot, ("gain", "backlash"), n, 12).mean(axis=0)
         assert coefficients > 0.88
         assert positions > 0.85
 
@@ -410,8 +413,9 @@ def _print_tables(what, n, seed=1):
             robot = make(Path(folder))
             for terms in CASES if what == "coverage" else [(), *CASES]:
                 if what == "coverage":
-                    coefficients, positions = coverage(robot, terms, n, seed)
-                    cells = f"{100 * coefficients:.1f} | {100 * positions:.1f}"
+                    parts = 100 * coverage(robot, terms, n, seed)
+                    columns = zip(parts.mean(axis=0), parts.std(axis=0) / np.sqrt(n), strict=True)
+                    cells = " | ".join(f"{mean:.1f} +- {deviation:.1f}" for mean, deviation in columns)
                 else:
                     cells = " | ".join(str(count) for count in choices(robot, terms, n, seed))
                 print(f"| {robot.name} | {', '.join(terms) or 'none'} | {cells} |", flush=True)

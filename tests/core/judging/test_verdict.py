@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 import calib
 from calib.core.data.measurements import with_points
+from calib.core.fitting.outliers import studentise_errors
 from calib.core.fitting.solved_fit import Convergence
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import _margin_above_mean
@@ -238,7 +239,7 @@ def test_a_pose_that_only_curves_follow_is_not_said_to_decide_itself(tmp_path):
     gears = robot.positions(q + 0.01 * np.sin(7 * q))
     data = measurements(robot, q, gears + SIGMA * np.random.default_rng(1).standard_normal(gears.shape))
     fit = calib.fit(robot, data, sigma=SIGMA)
-    assert np.max(findings.studentise_errors(fit).largest_leverage) > 0.95
+    assert np.max(studentise_errors(fit).largest_leverage) > 0.95
     assert "leverage" not in fit.verdict.to_dict()["codes"]
 
 

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scipy.stats import chi
+from scipy.stats import chi, f
 
 from calib.core.base.errors import InputError, NotIdentifiableError
 from calib.core.numerics.losses import (
@@ -12,6 +12,7 @@ from calib.core.numerics.losses import (
     robust_factors,
     scale_of,
     slopes,
+    studentised,
     weights,
     weights_of,
 )
@@ -112,6 +113,18 @@ def test_points_without_weight_do_not_count_as_measured():
     assert result.values[0] == pytest.approx(1.0, rel=0.01)
     assert result.freedom[0] == pytest.approx(3 * 9500, rel=0.01)
     assert result.effective[0] == pytest.approx(1 / np.sqrt(0.95 * 0.95), rel=0.01)
+
+
+def test_an_outlier_counts_as_the_largest_error_that_is_none():
+    rng, reading = np.random.default_rng(6), np.repeat(np.arange(40), 3)
+    residuals = rng.standard_normal(120)
+    residuals[30:33] = 40.0
+    none = np.zeros((120, 1))
+    errors = studentised(residuals, none, reading, np.full(40, 3), np.ones(40), 100.0)
+    assert errors.outliers.tolist() == [10]
+    assert np.all(errors.bounded_weights[np.arange(40) != 10] == 1.0)
+    bounded = errors.ratio[10] * np.sqrt(errors.bounded_weights[10])
+    assert 40 * f.sf(bounded**2 / 3, 3, 50.0) == pytest.approx(0.01, rel=1e-6)
 
 
 def test_no_freedom_is_an_error():

@@ -82,17 +82,21 @@ class KindModel:
         some = poses[:: -(-len(poses) // _POSES)]
         return np.flatnonzero((layout.group >= 0) & np.isin(layout.pose_of_row, some))
 
-    def rows(self, read: IntArray, groups: FloatArray, stated: BoolArray) -> MixedRows:
+    def rows(
+        self, read: IntArray, groups: FloatArray, stated: BoolArray, weights: FloatArray | None = None
+    ) -> MixedRows:
         """Return rows of the model.
 
         Args:
             read: Numbers of the rows, (n_read,).
             groups: Scales of the noise that whitens them, (n_groups,).
             stated: Mask of the groups whose noise is stated, (n_groups,).
+            weights: Weight of each reading, (n_readings,); that of the fit if not given.
         """
         fit, layout = self._fit, self._fit.whitening.layout
         data, whitening, places = fit.identification.data, fit.whitening, read
         visits, used = np.arange(len(data)), np.ones(layout.n_readings, dtype=bool)
+        weights = fit.weights if weights is None else weights
         some = np.unique(layout.visit[layout.reading[read]])
         looks = [readings.visits for readings in data.readings.values()]
         if len(some) < len(data) and all(np.all(np.diff(v) >= 0) and np.any(np.isin(v, some)) for v in looks):
@@ -102,9 +106,9 @@ class KindModel:
         near = fit.configurations.passive[visits]
         poses = self.robot.assemble(data.joints, near, data.labels, data.conditions)
         observed = observe(self.robot, poses, data.readings, joints=True)
-        rows = whitening.rows(observed, groups, self._unknowns, self.robot.values).with_weights(fit.weights[used])
+        rows = whitening.rows(observed, groups, self._unknowns, self.robot.values).with_weights(weights[used])
         levers: FloatArray = whitening.joint_columns(observed, groups) * fit.robot.mechanism.joint_scale
-        levers *= np.sqrt(fit.weights[used])[whitening.layout.reading, None]
+        levers *= np.sqrt(weights[used])[whitening.layout.reading, None]
         return MixedRows.from_linear_problem(
             rows.take_rows(places), self._family, stated, layout.pose_of_row[read], levers[places]
         )

@@ -54,17 +54,14 @@ def linearise(
 
     `turns` adds the derivative of the targets' orientations, `joints` derivatives by the actuated joints.
     """
-    if not robot.terms and not joints:
-        twists = parameter_twists(robot)
-        return Linearisation(*origin_jacobian(robot.mechanism, configurations, twists, turns=turns))
-    twists = np.hstack([parameter_twists(robot), joint_twists(robot.mechanism)])
+    twists = motion_twists(robot, joints=joints)
     positions, both = origin_jacobian(robot.mechanism, configurations, twists, turns=turns)
     n, n_targets, n_rows, width = both.shape
-    every = np.arange(len(robot.parameters))
-    jacobian = derivative_by_parameters(robot, both.reshape(n, -1, width), configurations.term_columns, every)
+    rows, every = both.reshape(n, n_targets * n_rows, width), np.arange(len(robot.parameters))
+    jacobian = derivative_by_parameters(robot, rows, configurations.term_columns, every)
     first = robot.coefficients.start
     by_joint = both[..., first : first + len(robot.joint_names)] if joints else None
-    return Linearisation(positions, jacobian.reshape(n, n_targets, n_rows, -1), by_joint)
+    return Linearisation(positions, jacobian.reshape(n, n_targets, n_rows, len(every)), by_joint)
 
 
 @one_blas_thread
@@ -195,14 +192,26 @@ def _motion(
     return result
 
 
-def parameter_twists(robot: Robot) -> FloatArray:
-    """Return twists of all origins per parameter, without coefficients of joint terms, (6 n_joints, k)."""
-    mechanism = robot.mechanism
+def motion_twists(robot: Robot, index: IntArray | None = None, *, joints: bool = False) -> FloatArray:
+    """Return twists of all origins per parameter that is no coefficient, and per driven joint, (6 n_joints, k).
+
+    Those of a driven joint, the joint's axis at its own origin, come last, with joint terms or with `joints`.
+
+    Args:
+        index: Parameters (n_index,) whose twists are needed; those of others are left 0. All if not given.
+    """
+    mechanism, n = robot.mechanism, robot.n_origin_parameters
     matrix = np.zeros((6 * mechanism.n_joints, robot.coefficients.start))
-    for name, twist in robot.parametrisation.twists(robot.values[: robot.n_origin_parameters]).items():
-        row = 6 * mechanism.origin_names.index(name)
-        matrix[row : row + 6, : robot.n_origin_parameters] = twist
-    return matrix
+    if index is None or len(index):
+        for name, twist in robot.parametrisation.twists(robot.values[:n]).items():
+            row = 6 * mechanism.origin_names.index(name)
+            matrix[row : row + 6, :n] = twist
+    if index is not None:
+        matrix *= np.isin(np.arange(matrix.shape[1]), index)
+    if not (joints or robot.terms):
+        return matrix
+    by_joint = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]
+    return np.hstack([matrix, by_joint.reshape(len(matrix), -1)])
 
 
 def derivative_by_parameters(
@@ -232,9 +241,3 @@ def derivative_by_parameters(
             np.matmul(derivative[:, :, moved], phi, out=part)
             filled += len(own)
     return result
-
-
-def joint_twists(mechanism: Mechanism) -> FloatArray:
-    """Return twists of all origins per driven joint, (6 n_joints, n_driven): the joint's axis at its own origin."""
-    by_joint: FloatArray = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]
-    return by_joint.reshape(6 * mechanism.n_joints, -1)

@@ -23,8 +23,7 @@ from calib.core.robots import kinematics
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import (
     derivative_by_parameters,
-    joint_twists,
-    parameter_twists,
+    motion_twists,
     passive_motion,
     relative_motion,
     sweeps,
@@ -80,16 +79,8 @@ def observe(
         joints: Whether to include derivatives by the actuated joints.
         index: Parameters (k,) of the derivatives, if not all; those by others are left 0.
     """
-    mechanism = robot.mechanism
-    n_driven = len(mechanism.driven) if joints or robot.terms else 0
-    twists = np.zeros((6 * mechanism.n_joints, robot.coefficients.start))
-    if index is None or len(index):
-        twists = parameter_twists(robot)
-    if index is not None:
-        twists *= np.isin(np.arange(twists.shape[1]), index)
-    if n_driven:
-        twists = np.hstack([twists, joint_twists(mechanism)])
-    width = robot.coefficients.start + n_driven if derivatives else 0
+    mechanism, twists = robot.mechanism, motion_twists(robot, index, joints=joints)
+    width = twists.shape[1] if derivatives else 0
     own = [instrument for instrument in robot.instruments if instrument.name in readings]
     works = [_Work(robot, instrument, readings[instrument.name], width) for instrument in own]
     pairs = tuple(dict.fromkeys(pair for work in works for pair in work.pairs))

@@ -45,6 +45,11 @@ ENTRY_POINTS = tuple(
         ("calib.reasons", "between_holes", "calib.redundancy.hole_pattern:check_holes"),
         ("calib.terms", "play", "calib.redundancy.drive_terms:Play"),
         ("calib.terms", "in_proportion", "calib.redundancy.drive_terms:InProportion"),
+        ("calib.entries", "traceability", "calib.quality.traceability:TraceabilitySection"),
+        ("calib.entries", "obstacles", "calib.motion.surroundings:Obstacles"),
+        ("calib.entries", "shape", "calib.motion.surroundings:ShapeSection"),
+        ("calib.entries", "acceptance", "calib.motion.surroundings:Acceptance"),
+        ("calib.entries", "sight", "calib.motion.surroundings:SightSection"),
         ("calib.contradicted", "fleet", "calib.fleets.contradicted_prior:without_contradicted_fleet"),
     )
 )

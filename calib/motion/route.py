@@ -27,12 +27,12 @@ from calib.core.instruments.kind import Readings
 from calib.core.instruments.touch import Touch
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
-from calib.core.robots.surroundings import FLOOR, UNCHECKED
 from calib.core.rows.observed import predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
 from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
 from calib.motion.scene import CollisionScene, exceeds_limits
+from calib.motion.surroundings import FLOOR, UNCHECKED
 from calib.shared.candidates import configurations_at
 
 _NODES = 150  # poses of the roadmap in addition to the stops

@@ -106,7 +106,7 @@ def worst_joints(budget: ErrorBudget) -> list[CauseShare]:
 def worst_joint(fit: Fit) -> str:
     """Return the joint with the largest share of the error before calibration, and the next; empty without a budget.
 
-    Where the 95 % interval of the largest share reaches down to the next, the worst joint is not determined.
+    Where the 95 % interval of the largest share reaches down to the next, a sentence says that either may be worst.
     """
     budget = findings.joint_budget(fit)
     joints = [] if budget is None else [share for share in worst_joints(budget) if share.mean_square > 0]
@@ -117,10 +117,13 @@ def worst_joint(fit: Fit) -> str:
         f"{one.cause} {significant(part, 2)} % ± {significant(half, 2)} %"
         for one, (part, half) in zip(joints, percent, strict=False)
     ]
-    lowest, next_part = percent[0][0] - percent[0][1], percent[1][0] if percent[1:] else 0.0
-    doubt = "" if lowest > next_part else "not determined, since its interval is too wide: "
-    following = f"; next {words[1]}" if words[1:] else ""
-    return f"{doubt}{words[0]} (95 %) of the squared error before calibration{following}"
+    lowest, following = percent[0][0] - percent[0][1], f"; next {words[1]}" if words[1:] else ""
+    doubt = ""
+    if words[1:] and lowest <= percent[1][0]:
+        doubt = f". The interval of {joints[0].cause} contains the share of {joints[1].cause}: either may be the worst"
+    elif lowest <= 0:
+        doubt = f". The interval of {joints[0].cause} contains zero: this joint may have no error"
+    return f"{words[0]} (95 %) of the squared error before calibration{following}{doubt}"
 
 
 def budget_lines(fit: Fit) -> list[str]:

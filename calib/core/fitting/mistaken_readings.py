@@ -118,11 +118,9 @@ def _misfits(robot: Robot, data: Measurements) -> _Errors:
 def _trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
     data, n = some_visits(measured), len(robot.joint_names)
     plain = ColumnMap.plain(n)
-    signs = [replace(plain, factors=tuple(-1.0 if k == j else 1.0 for k in range(n))) for j in range(n)]
-    orders = [
-        replace(plain, columns=tuple({a: b, b: a}.get(k, k) for k in range(n))) for a, b in combinations(range(n), 2)
-    ]
-    for at in (*signs, *orders):
+    signs = (plain.with_factor(j, -1.0) for j in range(n))
+    swaps = (plain.with_columns((a, b), (b, a)) for a, b in combinations(range(n), 2))
+    for at in (*signs, *swaps):
         yield Trial(at.words(robot), replace(data, joints=at.joints(data.joints)))
     yield from joint_value_trials(robot, measured)
     for name in data.readings:

@@ -110,7 +110,7 @@ class Cable(Relation):
 
 def check_spools(fit: Fit) -> Iterator[Reason]:
     """Yield a reason against cables whose spool has a negative radius: the motor counts the other way."""
-    values = dict(zip((parameter.name for parameter in fit.robot.parameters), fit.robot.values, strict=True))
+    values = fit.robot.values_by_name
     for cable in (cable for cable in fit.identification.instruments if isinstance(cable, Cable)):
         if values.get(f"{cable.name}.spool", 1.0) < 0:
             text = f"the radius of the spool of {cable.name} is negative: it counts the other way"

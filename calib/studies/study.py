@@ -304,7 +304,7 @@ def _chunk(setting: _Setting, numbers: range) -> tuple[list[Draws], list[str]]:
 
 def _draw(setting: _Setting, truth: Robot, fit: Fit) -> Draws:
     known, sigma = fit.interval_statistics, np.array([estimate.sigma for estimate in fit.noise])
-    true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
+    true = truth.values_by_name
     none: FloatArray = np.zeros((0, len(truth.target_names), 3))
     errors = half_width = none
     if len(setting.prediction_joints):

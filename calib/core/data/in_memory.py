@@ -141,8 +141,7 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
             )
         covariance = readings.covariance
         if covariance is None:
-            widths = [len(part.axes) for part in instrument.parts]
-            covariance = instrument.noise.covariance(instrument.points(readings.values), len(readings), widths)
+            covariance = instrument.covariance(readings.values, instrument.noise)
         rows = np.flatnonzero([instrument.parts[k].is_position for k in instrument.part_of_row])
         covariance = covariance.copy()
         covariance[:, rows, :] = covariance[:, :, rows] = 0.0

@@ -377,7 +377,7 @@ def joint_scales(robot: Robot, data: Measurements, at: ColumnMap | None = None) 
         fit = fit_data(geared, Settings(), mapped)
     except CalibrationError:
         return None
-    found = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
+    found = fit.robot.values_by_name
     known = dict(zip(fit.free_names, fit.statistics.std, strict=True))
     factors, std = list(at.factors), [0.0] * len(names)
     for j, name in enumerate(names):

@@ -381,6 +381,10 @@ class Instrument(ABC):
         """Return values (n, n_values) changed by small errors of their rows (n, n_rows) [SI], as noise does."""
         return values + change
 
+    def covariance(self, values: FloatArray, noise: Noise) -> FloatArray:
+        """Return the covariance of readings with values (n, n_values) and this noise, (n, n_rows, n_rows) [SI^2]."""
+        return noise.covariance(self.points(values), len(values), [len(part.axes) for part in self.parts])
+
     def points(self, values: FloatArray) -> FloatArray | None:
         """Return the target's position from values (n, n_values), seen from a, (n, 3) [m]; None if not read."""
         return None

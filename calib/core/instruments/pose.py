@@ -69,13 +69,12 @@ class Pose(FrameInstrument):
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return positions and rotation vectors, (n, 6) [m, rad]."""
-        numbers = np.stack([columns[column.name] for column in self.columns()], axis=1)
+        numbers = super().values(columns)
         return np.hstack([numbers[:, :3], read_rotations(self.name, self.rotation, numbers[:, 3:])])
 
     def cells(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the columns of positions and rotation vectors, (n, 6) [m, rad]."""
-        columns = np.hstack([values[:, :3], write_rotations(self.rotation, values[:, 3:])])
-        return {column.name: columns[:, k] for k, column in enumerate(self.columns())}
+        return super().cells(np.hstack([values[:, :3], write_rotations(self.rotation, values[:, 3:])]))
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return p_ab and the rotation vector of R_ab, (n, 6) [m, rad]."""

@@ -94,7 +94,7 @@ def _file_robot(folder: str, entry: dict[str, Any], holds: Holds, robot: Robot) 
         units = [display_scale(robot.mechanism.dimensions[zero["joint"]]) for zero in zeros]
         offsets = np.array([float(zero["offset"]) for zero in zeros]) / units
         return FileRobot({}, accuracy, entry["withheld"] or "", signs, offsets)
-    values = dict(zip((p.name for p in robot.parameters), map(float, robot.values), strict=True))
+    values = robot.values_by_name
     if name is not None:
         values = read_parameters(Path(folder) / f"{name}.csv", without_terms(robot, holds), complete=True)
     return FileRobot(values, accuracy, entry["withheld"] or "")

@@ -91,8 +91,8 @@ def with_terms(robot: SomeRobot, sections: Sequence[TermSection]) -> SomeRobot:
         mechanism = nominal.with_placements(robot.parametrisation.placements(robot.values[: robot.n_origin_parameters]))
         mode = replace(robot.mode, mechanism=nominal, actuated=nominal.without_tilts(robot.home[None])[0])
         changed = replace(changed, nominal=nominal, mechanism=mechanism, mode=mode)
-    value_of = dict(zip((parameter.name for parameter in robot.parameters), robot.values, strict=True))
-    return replace(changed, values=np.array([value_of.get(p.name, p.nominal_si) for p in changed.parameters]))
+    known = robot.values_by_name
+    return replace(changed, values=np.array([known.get(p.name, p.nominal_si) for p in changed.parameters]))
 
 
 def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None) -> tuple[FloatArray, ...]:

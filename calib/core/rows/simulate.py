@@ -287,8 +287,7 @@ def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np
     change = np.zeros((len(visible), instrument.n_rows))
     if sigma != 0:
         noise = stated_noise(instrument, sigma)
-        widths = [len(part.axes) for part in instrument.parts]
-        covariance = noise.covariance(instrument.points(visible.values), len(visible), widths)
+        covariance = instrument.covariance(visible.values, noise)
         normal = rng.standard_normal(change.shape)
         stated = np.array([float(noise.parts[k].stated) for k in instrument.part_of_row])
         change = stated * np.matmul(np.linalg.cholesky(covariance), normal[:, :, None])[:, :, 0]

@@ -22,6 +22,7 @@ ENTRY_POINTS = tuple(
         ("calib.methods", "compiled_kinematics", "calib.compiled.kernels"),
         ("calib.methods", "check_poses", "calib.motion.poses:check_poses"),
         ("calib.methods", "urdf_of_table", "calib.starting.dh_tables:urdf_of_table"),
+        ("calib.methods", "with_model", "calib.fleets.atlas:with_model"),
         ("calib.methods", "templates", "calib.starting.templates:TEMPLATES"),
         ("calib.measures", "camera", "calib.photographs.first_words:camera_words"),
         ("calib.first_descriptions", "klipper", "calib.printers.first_files:KLIPPER"),

@@ -270,8 +270,6 @@ def _is_tag(k: int, location: tuple[int | str, ...]) -> bool:
         return k in (1, 3)
     if location[0] == "instruments":
         return k > 2 and location[k] in _FORMS
-    if location[0] == "obstacles":
-        return k == 1
     return location[0] == "sigma" and k == 1 and location[k] in _FORMS
 
 

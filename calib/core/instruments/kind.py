@@ -144,7 +144,7 @@ class Readings(ReadOnlyArrays):
     def __len__(self) -> int:
         return len(self.visits)
 
-    def subset(self, index: IntArray, visits: IntArray | None = None) -> Readings:
+    def subset(self, index: IntArray | slice, visits: IntArray | None = None) -> Readings:
         """Return the readings with these indices (n,), in this order, with new visits (n,) if given."""
         return Readings(
             self.visits[index] if visits is None else visits,
@@ -152,7 +152,7 @@ class Readings(ReadOnlyArrays):
             self.values[index],
             None if self.covariance is None else self.covariance[index],
             self.details[index],
-            None if self.labels is None else tuple([self.labels[k] for k in index]),
+            None if self.labels is None else tuple(np.array(self.labels, dtype=object)[index].tolist()),
         )
 
 

@@ -168,7 +168,7 @@ class _Work:
 
     def _compare(self, chosen: IntArray | slice, seen: View | FloatArray) -> Comparison | JointComparison:
         every = isinstance(chosen, slice) and chosen == slice(0, len(self._sorted))
-        readings = self.readings if every else select_readings(self.readings, chosen)
+        readings = self.readings if every else self.readings.subset(chosen)
         comparison = self.instrument.compare(seen, self.robot.values[self._unknowns], readings)
         self._residuals[chosen] = comparison.residuals
         return comparison
@@ -180,17 +180,6 @@ class _Work:
             visits = as_slice(self.readings.visits)
             phi = tuple(columns[visits] for columns in phi)
         return Observed(self.robot, self._residuals, self._columns, phi)
-
-
-def select_readings(readings: Readings, chosen: IntArray | slice, first: int = 0) -> Readings:
-    """Return chosen readings (n,), with visits counted from `first`."""
-    return Readings(
-        readings.visits[chosen] - first,
-        readings.pairs[chosen],
-        readings.values[chosen],
-        None if readings.covariance is None else readings.covariance[chosen],
-        readings.details[chosen],
-    )
 
 
 def _is_identity(matrices: FloatArray) -> bool:

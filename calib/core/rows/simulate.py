@@ -34,7 +34,6 @@ from calib.core.rows.observed import (
     observe,
     planned_readings,
     predict_readings,
-    select_readings,
     touches_without_target,
 )
 from calib.core.rows.whitening import stated_noise
@@ -283,7 +282,7 @@ def _assemble(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray)
 
 def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
     seen = np.flatnonzero(~np.isnan(exact.values).all(axis=1))
-    visible = exact if len(seen) == len(exact) else select_readings(exact, seen)
+    visible = exact if len(seen) == len(exact) else exact.subset(seen)
     change = np.zeros((len(visible), instrument.n_rows))
     if sigma != 0:
         noise = stated_noise(instrument, sigma)

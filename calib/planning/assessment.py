@@ -22,7 +22,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.core.base.parameter import Parameter
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import in_si, millimetres
+from calib.core.base.units import millimetres, sigma_in_si
 from calib.core.base.words import count_noun, data_frame, html_with_title, listing
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurement_columns import rank_in_visit
@@ -212,7 +212,7 @@ def check(
         DataError: Fewer measured coordinates than free parameters without a prior.
         UnreachablePoseError: A pose cannot be assembled.
     """
-    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
+    robot, sigma = as_robot(robot), sigma_in_si(sigma)
     require_free(robot)
     poses = sample(robot, _SAMPLED) if poses is None else as_poses(robot, poses)
     task = None if task is None else as_poses(robot, task)

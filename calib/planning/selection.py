@@ -36,7 +36,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray, random_numbers
 from calib.core.base.errors import InputError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import in_si, millimetres
+from calib.core.base.units import millimetres, sigma_in_si
 from calib.core.base.workers import Progress, Workers, results_in_order
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.numerics.observability import observability_of
@@ -153,7 +153,7 @@ def select(
         UnreachablePoseError: Candidates cannot be assembled.
         NotIdentifiableError: No choice determines the directions of the index.
     """
-    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
+    robot, sigma = as_robot(robot), sigma_in_si(sigma)
     started = time.perf_counter()
     rng = random_numbers(seed)
     groups = groups_of(robot, instruments, count)

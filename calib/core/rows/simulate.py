@@ -20,7 +20,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, random_numbers
 from calib.core.base.errors import DataError, UnreachablePoseError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import in_si, millimetres
+from calib.core.base.units import millimetres, sigma_in_si
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Measurements, Poses, directions_of_motion, measurements, readings_of_visits
 from calib.core.instruments.kind import Instrument, Readings
@@ -74,7 +74,7 @@ def simulate(
         DataError: Sigma is not a number >= 0, or a pose does not say what is touched.
         UnreachablePoseError: A pose cannot be assembled, or no contact was found near it.
     """
-    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
+    robot, sigma = as_robot(robot), sigma_in_si(sigma)
     if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
         raise DataError(f"sigma {sigma:g} m: must be zero or a positive number")
     rng = random_numbers(seed)

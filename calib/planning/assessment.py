@@ -29,7 +29,7 @@ from calib.core.data.measurement_columns import rank_in_visit
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import Elimination, Rank, eliminate, reduce_rows
-from calib.core.numerics.observability import Information, TaskIndex, information, observability_of, task_index
+from calib.core.numerics.observability import Information, information
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
@@ -39,7 +39,9 @@ from calib.core.rows.prediction import without_common_motion
 from calib.core.rows.unknowns import Unknowns
 from calib.planning.exchange import Spacing, exchange, uniform_start
 from calib.planning.pose_sampling import sample
+from calib.planning.predicted_error import TaskIndex, task_index
 from calib.planning.selection_problem import TASK, build_problem
+from calib.planning.selection_scores import observability_of
 from calib.shared.candidates import (
     WHITENED,
     assumed_sigma,

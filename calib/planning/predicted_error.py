@@ -1,4 +1,4 @@
-"""The root mean square error over poses that a covariance of uncertain quantities predicts."""
+"""The position error over poses that noise, priors and other uncertain quantities let expect."""
 
 from __future__ import annotations
 
@@ -49,3 +49,28 @@ def predicted_rms(
     mean = np.array(trace / n)
     low, high = root95(mean, np.array(squares / n**2), coverage_factor)
     return RootMeanSquare(float(np.sqrt(np.maximum(mean, 0.0))), float(low), float(high))
+
+
+@dataclass(frozen=True)
+class TaskIndex:
+    """Predicted position error over a set of poses, from measurement noise and priors.
+
+    Attributes:
+        rms: Root mean square over poses and targets of the predicted distance [m]; infinite where a position depends on
+            parameters that nothing determines.
+        maximum: Largest predicted distance [m].
+        worst_pose: Pose of the largest.
+    """
+
+    rms: float
+    maximum: float
+    worst_pose: int
+
+
+def task_index(position_errors: FloatArray) -> TaskIndex:
+    """Summarise predicted position errors (n_poses, n_targets) [m], from `Information.position_errors`."""
+    return TaskIndex(
+        float(np.sqrt(np.mean(position_errors**2))),
+        float(np.max(position_errors)),
+        int(np.argmax(np.max(position_errors, axis=1))),
+    )

@@ -125,7 +125,7 @@ def write_program(route: Route, language: str, motion: Motion) -> str:
     Raises:
         InputError: The language has no joint moves for this robot.
     """
-    turning = all(route.robot.mechanism.dimensions[name] == "angle" for name in route.robot.joint_names)
+    turning = np.all(route.robot.mechanism.turning)
     if LANGUAGES[language].six_axes and (len(route.robot.joint_names) != _ROBOT_AXES or not turning):
         raise InputError(
             f"--format {language}: its programs move six turning joints, and this robot has"

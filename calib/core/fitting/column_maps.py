@@ -187,10 +187,6 @@ def likely_maps(robot: Robot, data: Measurements) -> list[ColumnMap]:
     return list(_maps_with_loops(robot, data) if robot.mechanism.loops else _search_maps(robot, data))
 
 
-def _turning(robot: Robot) -> BoolArray:
-    return np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
-
-
 def _turns(at: ColumnMap, turning: BoolArray) -> Iterator[ColumnMap]:
     for j, factor in enumerate(at.factors):
         turned = at.with_factor(j, -factor)
@@ -208,7 +204,7 @@ def _scales(robot: Robot, at: ColumnMap) -> Iterator[ColumnMap]:
 
 def _orders(robot: Robot) -> Iterator[ColumnMap]:
     """Other orders of the columns of joints of one sort: all, or those that move two or three columns."""
-    plain, turning = ColumnMap.plain(len(robot.joint_names)), _turning(robot)
+    plain, turning = ColumnMap.plain(len(robot.joint_names)), robot.mechanism.turning
     groups = [np.flatnonzero(turning).tolist(), np.flatnonzero(~turning).tolist()]
     for group in groups:
         if math.factorial(len(group)) <= _ALL_ORDERS:
@@ -224,7 +220,7 @@ def _orders(robot: Robot) -> Iterator[ColumnMap]:
 def _maps_with_loops(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
     n = len(robot.joint_names)
     lower, upper = robot.urdf.limits(robot.joint_names)
-    plain, turning = ColumnMap.plain(n), _turning(robot)
+    plain, turning = ColumnMap.plain(n), robot.mechanism.turning
     yield from (plain.with_factor(j, -1.0) for j in range(n))
     pairs = (plain.with_factor(a, -1.0).with_factor(b, -1.0) for a, b in combinations(range(n), 2))
     zeros = (plain.with_quarter(j, k) for j in np.flatnonzero(turning).tolist() for k in (-2, -1, 1, 2))
@@ -238,7 +234,7 @@ def _search_maps(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
     """The best maps of the search, those with fewer changes first among equally good ones."""
     n = len(robot.joint_names)
     plain = ColumnMap.plain(n)
-    turning = _turning(robot) & _zero_matters(robot, data, plain)
+    turning = robot.mechanism.turning & _zero_matters(robot, data, plain)
     once = {*_turns(plain, turning)}
     start = {plain, *once, *_orders(robot), *_scales(robot, plain)}
     if n <= _ALL_SIGNS:

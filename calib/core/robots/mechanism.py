@@ -292,6 +292,11 @@ class Mechanism(ReadOnlyArrays):
         return np.any([self.direction_signs(pair) != 0 for pair in pairs], axis=0)
 
     @cached_property
+    def turning(self) -> BoolArray:
+        """Mask of the actuated joints that turn, (n_actuated,)."""
+        return np.array([self.dimensions[name] == "angle" for name in self.actuated], dtype=bool)
+
+    @cached_property
     def joint_scale(self) -> FloatArray:
         """Scale of each actuated joint: 1 [rad], or the characteristic length [m], (n_actuated,)."""
         return self.driven_scale[: len(self.actuated)]

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays, evenly_spread
 from calib.core.base.contributions import Contribution
 from calib.core.base.threads import one_blas_thread
 from calib.core.robots.joint_sampling import joint_samples
@@ -113,8 +113,8 @@ class ReportedUncertainty(ReadOnlyArrays):
 def poses_of_agreement(nominal: Robot, robot: Robot, joints: FloatArray) -> FloatArray:
     """Return measured poses `joints` that both robots can assemble, else poses around home, (n, n_actuated)."""
     measured = np.unique(joints, axis=0)
-    some = measured[np.unique(np.linspace(0, len(measured) - 1, _MOST).astype(np.intp))] if len(measured) else None
-    chosen = poses_around_home(nominal) if some is None else some
+    some = measured[evenly_spread(len(measured), _MOST)]
+    chosen = some if len(some) else poses_around_home(nominal)
     return np.asarray(chosen[nominal.close(chosen).ok & robot.close(chosen).ok])
 
 

@@ -31,7 +31,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadAsArray, ReadOnlyArrays, hold
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadAsArray, ReadOnlyArrays, evenly_spread, hold
 from calib.core.base.contributions import Contributions
 from calib.core.base.units import millimetres
 from calib.core.base.words import count_noun, listing
@@ -165,7 +165,7 @@ def recombined_joints(q: FloatArray, most: int) -> FloatArray:
     """
     n, n_joints = q.shape
     mixed = np.stack([np.roll(q[:, j], k * n // n_joints) for j, k in enumerate(order_of_joints(q)[0])], axis=1)
-    return np.asarray(mixed[np.unique(np.linspace(0, n - 1, most).astype(np.intp))])
+    return np.asarray(mixed[evenly_spread(n, most)])
 
 
 def without_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray:

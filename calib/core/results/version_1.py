@@ -200,10 +200,8 @@ class EarlierResult(LoadedResult):
         for name in dict.fromkeys(targets.tolist()):
             instrument = self.robot.instrument(name)
             cells = {
-                column.name: table.column(
-                    f"measured_{column.name.removeprefix(f'{name}_')}", column.dimension, gaps=True
-                )
-                for column in instrument.columns()
+                column: table.column(f"measured_{column.removeprefix(f'{name}_')}", dimension, gaps=True)
+                for column, dimension in instrument.columns().items()
             }
             values = np.broadcast_to(instrument.values(cells), (len(sets), instrument.values(cells).shape[1]))
             for label, own in result.items():

@@ -17,7 +17,6 @@ from calib.core.base.files import image_address
 from calib.core.judging.error_budget import CauseShare
 from calib.core.judging.findings import joint_budget
 from calib.core.judging.next_step import next_step
-from calib.core.results.sections.budget import worst_joint, worst_joints
 from tests.six_axis_arm import FREE, YAML, joints, write_six_axis
 from tests.small_robots import ARM_YAML, write_arm
 from tests.viz.viz_examples import (
@@ -44,6 +43,7 @@ from viz.report_page import (
     significant,
     unbroken,
 )
+from viz.report_tables import worst_joint, worst_joints
 from viz.result_charts import joint_shares, parameters, waterfall
 from viz.scene import joints_of, scene_of_fit
 

@@ -26,7 +26,7 @@ def as_slice(chosen: IntArray) -> IntArray | slice:
 
 
 def evenly_spread(n: int, most: int) -> IntArray:
-    """Return at most so many places out of n, evenly spread from the first to the last."""
+    """Return at most so many places out of n, evenly spread from the first to the last, (n_places,)."""
     return np.unique(np.linspace(0, n - 1, min(most, n)).astype(np.intp))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.base.units import millimetres
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun
 from medrue.both_sides import EXTENDED, PAPER, WAYS, BothSides, Way
 from medrue.ranking import standard_error
@@ -80,8 +80,8 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
         (
             "poses are chosen by O1 of the extended model, and for the paper's model by its own O1",
             f"simulated; {count_noun(len(both_sides.draws), 'draw')}; at all other poses from both sides, with the"
-            f" tracker's noise, which alone has an RMS of {millimetres(NOISE):.4f} mm and a mean magnitude of"
-            f" {millimetres(NOISE) * np.sqrt(2 / np.pi):.4f} mm",
+            f" tracker's noise, which alone has an RMS of {quantity_text(NOISE, 'mm', '.4f')} and a mean magnitude of"
+            f" {quantity_text(NOISE * np.sqrt(2 / np.pi), 'mm', '.4f')}",
             "both sides: two visits of each pose; either side: one visit, from a side that chance decides; one side:"
             " one visit, in the positive direction; empty: too few readings for the model",
             f"{both_sides.rail}; the last two are in no model",
@@ -141,7 +141,7 @@ def _needed_poses(both_sides: BothSides) -> str:
     near = {way.name: component_rms(both_sides, way)[1:, 0] <= NEAR_NOISE * NOISE for way in WAYS}
     never = [f"{name} ({_length(mean[-1])})" for name, mean in means.items() if not np.any(mean <= GOAL)]
     return (
-        f"Poses needed, of the numbers tried, for a mean x error of {millimetres(GOAL):g} mm:"
+        f"Poses needed, of the numbers tried, for a mean x error of {quantity_text(GOAL, 'mm', 'g')}:"
         f" {_least_poses(counts, {name: mean <= GOAL for name, mean in means.items()})}; for an RMS x error within"
         f" {100 * (NEAR_NOISE - 1):.0f} % of the noise: {_least_poses(counts, near)}."
         + (f" Not even {counts[-1]} are enough for {', '.join(never)}." if never else "")
@@ -176,4 +176,4 @@ def _cell(value: float) -> float | None:
 
 def _length(value: float) -> str:
     """A length [m] in words."""
-    return "no answer" if np.isnan(value) else f"{millimetres(value):.3f} mm"
+    return "no answer" if np.isnan(value) else f"{quantity_text(value, 'mm', '.3f')}"

@@ -13,7 +13,7 @@ import click
 import numpy as np
 
 from calib.core.base.files import write_folder
-from calib.core.base.units import metres, millimetres
+from calib.core.base.units import from_unit, millimetres, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.base.workers import Workers
 from calib.core.commands.common import Output, shared_options
@@ -118,9 +118,9 @@ def poses_command(out: str, output: Output) -> None:
     output.say(
         f"{len(targets.poses)} poses written to {out}\n"
         f"largest difference from the closed-form inverse: {targets.difference:.1e} (m, rad)\n"
-        f"q1 from {millimetres(targets.stroke[0]):.1f} to {millimetres(targets.stroke[1]):.1f} mm of 700 mm;"
-        f" probe tilted by {np.degrees(targets.tilt[0]):.1f} deg on average,"
-        f" {np.degrees(targets.tilt[1]):.1f} deg at most\n"
+        f"q1 from {millimetres(targets.stroke[0]):.1f} to {quantity_text(targets.stroke[1], 'mm', '.1f')} of 700 mm;"
+        f" probe tilted by {quantity_text(targets.tilt[0], 'deg', '.1f')} on average,"
+        f" {quantity_text(targets.tilt[1], 'deg', '.1f')} at most\n"
         f"nearest to a singular pose: smallest singular value of the loops {targets.singular_value:.3f}, smallest sine"
         f" between two links {targets.sine:.3f} (0 is singular)"
     )
@@ -198,7 +198,7 @@ def experiment_command(
 
         usual = Imperfections()
         imperfections = Imperfections(
-            usual.backlash if backlash_mm is None else metres(backlash_mm),
+            usual.backlash if backlash_mm is None else from_unit(backlash_mm, "mm"),
             usual.lead if lead_um is None else lead_um * 1e-6 / 0.3,
             usual.tilt if tilt_deg is None else float(np.radians(tilt_deg)),
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from medrue.workspace import target_workspace
-from viz.shapes import Shape, mesh
+from viz.shapes import Shape
 
 _SKIN = (0.80, 0.62, 0.52, 0.28)
 _PIECES = 48  # flat pieces around the half
@@ -20,4 +20,5 @@ def leg() -> tuple[Shape, ...]:
     i = np.arange(_PIECES)
     quads = np.stack([i, i + 1, i + _PIECES + 2, i + _PIECES + 1], axis=1)
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    return (mesh("leg", None, np.concatenate([arc, arc + workspace.length * workspace.axis]), faces, _SKIN),)
+    vertices = np.concatenate([arc, arc + workspace.length * workspace.axis])
+    return (Shape("leg", None, "mesh", vertices=vertices, faces=faces, colour=_SKIN),)

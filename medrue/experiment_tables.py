@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.units import micrometres, millimetres
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun
 from medrue.both_sides_tables import (
     BOTH_SIDES_NOTE,
@@ -145,7 +145,7 @@ def cause_table(experiment: Experiment) -> ResultTable:
     """Error that each cause alone leaves after calibration."""
     rows = cause_rms(experiment)
     sizes = {
-        "tracker noise alone": f"{micrometres(SIGMA):.0f} um, {count_noun(REPEATS, 'reading')} averaged",
+        "tracker noise alone": f"{quantity_text(SIGMA, 'um', '.0f')}, {count_noun(REPEATS, 'reading')} averaged",
         **experiment.imperfections.sizes,
     }
     columns = [TableColumn("cause", tuple(rows)), TableColumn("size", tuple(sizes.get(name, "") for name in rows))]
@@ -228,10 +228,10 @@ def _measuring_finding(experiment: Experiment) -> str:
     draw, draws = experiment.draws[0], experiment.draws
     outliers = sum(len(each.nest_outliers) for each in draws)
     return (
-        f"Repeats at one pose scatter by {micrometres(draw.repeatability):.1f} um on each axis (repeatability). The"
-        f" world frame from three nests is uncertain by up to {micrometres(draw.frame_sigma):.0f} um at the tool (one"
-        f" standard deviation). Nests that seem not to fit: {outliers} in {count_noun(len(draws), 'draw')}; chance"
-        f" alone does that in up to one of {1 / OUTLIER_PROBABILITY:.0f}."
+        f"Repeats at one pose scatter by {quantity_text(draw.repeatability, 'um', '.1f')} on each axis (repeatability)."
+        f" The world frame from three nests is uncertain by up to {quantity_text(draw.frame_sigma, 'um', '.0f')} at the"
+        f" tool (one standard deviation). Nests that seem not to fit: {outliers} in {count_noun(len(draws), 'draw')};"
+        f" chance alone does that in up to one of {1 / OUTLIER_PROBABILITY:.0f}."
     )
 
 

@@ -28,7 +28,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.parameter import index_of
-from calib.core.base.units import micrometres, millimetres
+from calib.core.base.units import quantity_text
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 
@@ -66,9 +66,9 @@ class Imperfections:
     def sizes(self) -> dict[str, str]:
         """Size of each cause in words, by the names of `causes`."""
         return {
-            "lead error": f"{micrometres(self.lead * 0.3):g} um per 300 mm",
-            "links out of perpendicular": f"{np.degrees(self.tilt):.2g} deg (std of each axis)",
-            "backlash of the rail": f"{millimetres(self.backlash):g} mm",
+            "lead error": f"{quantity_text(self.lead * 0.3, 'um', 'g')} per 300 mm",
+            "links out of perpendicular": f"{quantity_text(self.tilt, 'deg', '.2g')} (std of each axis)",
+            "backlash of the rail": f"{quantity_text(self.backlash, 'mm', 'g')}",
         }
 
     def __str__(self) -> str:
@@ -98,9 +98,9 @@ class RailErrors:
     def __str__(self) -> str:
         """The imperfections in words."""
         return (
-            f"an error of each turn of the screw of {millimetres(self.periodic):g} mm, backlash that is"
+            f"an error of each turn of the screw of {quantity_text(self.periodic, 'mm', 'g')}, backlash that is"
             f" {100 * self.wear:g} % larger in the middle of the rail than at its ends, and a rail that is bent by"
-            f" {millimetres(self.bow):g} mm"
+            f" {quantity_text(self.bow, 'mm', 'g')}"
         )
 
 

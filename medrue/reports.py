@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.base.words import count_noun
 from calib.core.data.measurement_files import format_measurements
 from medrue.both_sides import WAYS, BothSides
@@ -106,7 +106,7 @@ def _measurement_file(experiment: Experiment) -> str:
     comments = (
         "simulated measurements of MedRUE; no real robot was measured",
         f"all poses from both sides: approach_q1 is the direction in which the rail came; seed {experiment.seed}",
-        f"tracker noise {millimetres(SIGMA):g} mm on each axis, {count_noun(REPEATS, 'reading')} averaged",
+        f"tracker noise {quantity_text(SIGMA, 'mm', 'g')} on each axis, {count_noun(REPEATS, 'reading')} averaged",
     )
     both_sides = experiment.both_sides
     return format_measurements(both_sides.extended, both_sides.first_measurements(), comments)

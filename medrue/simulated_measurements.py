@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_file
-from calib.core.base.units import metres, millimetres
+from calib.core.base.units import from_unit, millimetres
 from medrue.closed_form import ACTUATED_JOINTS, Array, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -46,7 +46,7 @@ def simulated_positions(joints: Array, sigma: float, generator: np.random.Genera
     Returns:
         Positions, `(n, 3) [mm]`.
     """
-    q = np.hstack([metres(joints[:, :1]), np.radians(joints[:, 1:])])
+    q = np.hstack([from_unit(joints[:, :1], "mm"), np.radians(joints[:, 1:])])
     exact = millimetres(forward(q, table1().actual).p_world_tool)
     return exact + generator.normal(0.0, sigma, exact.shape)
 

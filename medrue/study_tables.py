@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.units import micrometres, millimetres
+from calib.core.base.units import in_unit, millimetres, quantity_text
 from calib.core.base.words import count_noun
 from calib.core.numerics.observability import information
 from medrue.paper_tables import error_table, table1
@@ -56,7 +56,7 @@ def parameter_table(study: PaperStudy) -> ResultTable:
             TableColumn("redundant", tuple("yes" if name in paper.redundant else "no" for name in paper.names)),
         ),
         (
-            f"simulated; noise sigma {micrometres(SIGMA):.0f} um on each axis, seed {study.seed}; scatter over"
+            f"simulated; noise sigma {quantity_text(SIGMA, 'um', '.0f')} on each axis, seed {study.seed}; scatter over"
             f" {count_noun(len(study.outcome.values), 'draw')} of the noise",
             "redundant parameters stay nominal; the nominal joint offsets are zero (the paper's Table I prints others)",
         ),
@@ -145,7 +145,7 @@ def observability_table(study: PaperStudy) -> ResultTable:
     for index in ("O1", "O2", "O3", "O4", "O5"):
         best = max(value[index] for value in values)
         columns.append(TableColumn(f"{index} [% of the best]", tuple(100 * value[index] / best for value in values), 1))
-    columns.append(TableColumn("task [um]", tuple(micrometres(value["task"]) for value in values), 2))
+    columns.append(TableColumn("task [um]", tuple(in_unit(value["task"], "um") for value in values), 2))
     columns.append(TableColumn("proven efficiency [%]", tuple(None if e is None else 100 * e for e in efficiency), 2))
     return ResultTable(
         "observability",
@@ -153,7 +153,8 @@ def observability_table(study: PaperStudy) -> ResultTable:
         tuple(columns),
         (
             "columns of the Jacobian in units of 2 mm and 1.5 deg; no measurement, real or simulated, enters",
-            f"task: predicted RMS error over all {len(study.joints)} poses, for noise of {micrometres(SIGMA):.0f} um",
+            f"task: predicted RMS error over all {len(study.joints)} poses, for noise of"
+            f" {quantity_text(SIGMA, 'um', '.0f')}",
         ),
     )
 
@@ -204,7 +205,7 @@ def _findings_against_paper(ours: Ranking, study: PaperStudy) -> tuple[str, ...]
     best_two = "also" if set(shared[:2]) == set(paper[:2]) else "not"
     nominal = millimetres(np.linalg.norm(study.robot.positions(study.joints)[:, 0] - study.truth, axis=1))
     return (
-        f"Before calibration the mean error is {millimetres(study.nominal_errors()[0]):.2f} mm here,"
+        f"Before calibration the mean error is {quantity_text(study.nominal_errors()[0], 'mm', '.2f')} here,"
         f" {error_table(2)['before']['mean']:.2f} mm in the paper; at single poses of ours it lies between"
         f" {nominal.min():.2f} and {nominal.max():.2f} mm.",
         f"The paper's order of the mean error, from one draw: {', '.join(paper)}. Its two smallest are {best_two} ours"

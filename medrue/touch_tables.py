@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.units import micrometres, millimetres
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun
 from calib.planning.assessment import Assessment
 from medrue.result_tables import Cell, ResultTable, TableColumn
@@ -80,8 +80,9 @@ def method_table(study: TouchStudy) -> ResultTable:
             TableColumn("cannot see", tuple(unseen(determined) for determined in seen)),
         ),
         (
-            f"simulated; noise: {micrometres(SIGMA):.0f} um on each axis, {1e6 * ENCODER_SIGMA:.0f} urad of encoders"
-            f" that turn; {count_noun(len(study.noise), 'draw')} of it on Table I's robot",
+            f"simulated; noise: {quantity_text(SIGMA, 'um', '.0f')} on each axis,"
+            f" {quantity_text(ENCODER_SIGMA, 'urad', '.0f')} of encoders that turn;"
+            f" {count_noun(len(study.noise), 'draw')} of it on Table I's robot",
             "predicted: by theory, at nominal parameters, in the world; empty where readings alone do not determine it",
             "cannot see: parameters that have no effect, or an effect only in combination, at nominal",
         ),
@@ -154,4 +155,4 @@ def _size(artefact: Artefact) -> str:
     if n == 1:
         return "one"
     length, width = float(np.ptp(artefact.sockets[:, 0])), float(np.max(pdist(artefact.sockets[:, 1:])))
-    return f"{n} on {millimetres(length):.0f} mm by {millimetres(width):.0f} mm"
+    return f"{n} on {quantity_text(length, 'mm', '.0f')} by {quantity_text(width, 'mm', '.0f')}"

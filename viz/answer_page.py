@@ -7,7 +7,7 @@ from datetime import datetime
 
 import numpy as np
 
-from calib.core.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.core.base.units import ERROR_UNIT, in_unit, millimetres, quantity_text
 from calib.core.judging.acceptance import Acceptance
 from calib.photographs.detection import Detection
 from calib.photographs.hand_eye import HandEye
@@ -61,7 +61,7 @@ def _image_charts(result: HandEye) -> Charts:
     scene = result.scene
     used, left, board = (result.rms_by_image(v) for v in (result.pixels, result.left_out.pixels, result.board))
     texts = tuple(
-        f"image {name}: {u:.2f} px RMS used, {o:.2f} px left out, {millimetres(b):.3f} mm on the board"
+        f"image {name}: {u:.2f} px RMS used, {o:.2f} px left out, {quantity_text(b, 'mm', '.3f')} on the board"
         for name, u, o, b in zip(scene.names, used, left, board, strict=True)
     )
     images = np.arange(len(scene))
@@ -98,13 +98,12 @@ def _image_charts(result: HandEye) -> Charts:
 
 def _new_reading_charts(acceptance: Acceptance) -> Charts:
     errors, part = acceptance.errors, acceptance.errors.main_part
-    scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
-    sizes, names = [], []
+    unit, sizes, names = ERROR_UNIT[part.dimension], [], []
     for instrument, its_part, columns in errors.parts():
         if its_part.name == part.name:
-            sizes.append(scale * np.linalg.norm(errors.after[instrument.name][:, columns], axis=1))
+            sizes.append(np.linalg.norm(errors.after[instrument.name][:, columns], axis=1))
             names += [errors.data.names[visit] for visit in errors.data.readings[instrument.name].visits]
-    size = np.concatenate(sizes)
+    size = in_unit(np.concatenate(sizes), unit)
     numbers = {name: k for k, name in enumerate(dict.fromkeys(names))}
     rows = PageRows(
         tuple(f"pose {name}: {part.name} error {value:.3g} {unit}" for name, value in zip(names, size, strict=True)),

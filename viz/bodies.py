@@ -26,6 +26,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from calib import Robot
 from calib.core.base.arrays import FloatArray, IntArray
@@ -85,11 +86,11 @@ class Bodies:
         for i, parent in enumerate(self.parents):
             motion = np.tile(np.eye(4), (*values.shape[:-1], 1, 1))
             if self.columns[i] >= 0:
-                value = values[..., self.columns[i]]
+                along = np.multiply.outer(values[..., self.columns[i]], self.axes[i])
                 if self.sliding[i]:
-                    motion[..., :3, 3] = np.multiply.outer(value, self.axes[i])
+                    motion[..., :3, 3] = along
                 else:
-                    motion[..., :3, :3] = _turn(self.axes[i], value)
+                    motion[..., :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(along).as_matrix()
             T[..., i + 1, :, :] = T[..., parent, :, :] @ robot.placements[i] @ motion
         root = np.linalg.inv(T[..., [self.base], :, :]) if robot.root is None else robot.root
         relative: FloatArray = root @ T
@@ -161,11 +162,3 @@ def _stretches(robot: Robot, bodies: Bodies, placements: FloatArray) -> FloatArr
         stretches[body, :3, :3] += solution[:3].T / size
         stretches[body, :3, 3] = solution[3]
     return stretches
-
-
-def _turn(axis: FloatArray, angle: FloatArray) -> FloatArray:
-    """Rotations by Rodrigues' formula, (..., 3, 3), by angles (...)."""
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: FloatArray = np.eye(3) + np.multiply.outer(np.sin(angle), K) + np.multiply.outer(1 - np.cos(angle), K @ K)
-    return rotation

@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib import Progress
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import CalibrationError, InputError
+from calib.core.base.errors import CalibrationError, require_package
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.version import DISTRIBUTION
 from viz.bodies import posed_robot
 from viz.inputs import ShownScene, gather
@@ -41,13 +42,8 @@ class DraggedView:
     """
 
     def __init__(self, shown: ShownScene, port: int = 0) -> None:
-        try:
-            import viser
-        except ImportError:
-            raise InputError(
-                "--drag shows the robot with viser, which is not installed: pip install viser"
-                f" (or {DISTRIBUTION}[viser])"
-            ) from None
+        missing = "--drag shows the robot with viser, which is not installed: pip install viser"
+        viser = require_package("viser", f"{missing} (or {DISTRIBUTION}[viser])")
         with _silence():
             self.server = viser.ViserServer(ADDRESS, port, label=shown.scene.title, verbose=False)
         self._draw(shown)
@@ -144,7 +140,7 @@ class DraggedView:
             slider.value = round(float(joint.per_si * value), _DIGITS)
         self._target.position = point
         self._moving = False
-        shown = ", ".join(f"{axis} {1e3 * value:.3f}" for axis, value in zip("xyz", point, strict=True))
+        shown = ", ".join(f"{axis} {value:.3f}" for axis, value in zip("xyz", millimetres(point), strict=True))
         self.note.content = f"{solid.target_names[0]}: {shown} mm"
 
     def reach(self, point: FloatArray) -> None:
@@ -155,7 +151,7 @@ class DraggedView:
         if solution.ok[0]:
             self.move(solution.q[0])
         else:
-            self.note.content = f"not reached: {1e3 * solution.miss_position[0]:.2f} mm short"
+            self.note.content = f"not reached: {quantity_text(solution.miss_position[0], 'mm', '.2f')} short"
 
     def _slider(self, k: int) -> Any:
         joint, solid = self._shown.scene.joints[k], self._shown.solid

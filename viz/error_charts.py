@@ -9,7 +9,7 @@ import numpy as np
 
 from calib import Fit
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, quantity
+from calib.core.base.units import in_unit, millimetres, quantity, quantity_text
 from calib.core.fitting.error_sets import STATES
 from calib.core.numerics import linalg
 from viz.charts import COLOURS, Chart, PageRows, axis, layer, panel
@@ -19,7 +19,6 @@ from viz.remarks import tolerance
 from viz.scene import ViewerJoint, ViewerScene
 from viz.scene_data import colours, ranges, rows_of
 
-_MM = PER_SI["length"]["mm"]
 _MEANS = 12  # places along a joint at which residuals are averaged
 _CELLS = 9  # cells along the longer side of a plane
 _FLAT = 0.05  # places lie on a plane if their extent across it is below this part of their extent in it
@@ -33,13 +32,13 @@ def page_rows(scene: ViewerScene) -> PageRows:
     """Return hover text, pose and mark of each row of the page."""
     texts, keys, marks = [], [], []
     for rows in rows_of(scene):
-        scale, unit = error_scale(rows.part.dimension), ERROR_UNIT[rows.part.dimension]
-        sizes = {state: scale * rows.sizes(state) for state in STATES}
+        sizes = {state: rows.sizes(state) for state in STATES}
         several = len(set(rows.targets)) > 1 or not rows.part.is_position
         for k, (label, group, bad, target) in enumerate(
             zip(rows.labels, rows.group, rows.outlier, rows.targets, strict=True)
         ):
-            errors = [f"{sizes[state][k]:.3g} {unit} {state}" for state in STATES if np.isfinite(sizes[state][k])]
+            known = [state for state in STATES if np.isfinite(sizes[state][k])]
+            errors = [f"{quantity_text(sizes[state][k], rows.unit)} {state}" for state in known]
             who = f", {target}" if several else ""
             state = ", left out" if group == EXCLUDED else ", outlier" if bad else ""
             what = "" if rows.part.is_position else f"{rows.part.name} "
@@ -130,11 +129,11 @@ class _Part:
 
     def __init__(self, rows: ReadingErrors, numbers: IntArray, joints: tuple[ViewerJoint, ...], layout: str) -> None:
         self._rows, self._numbers, self._joints = rows, numbers, joints
-        self._scale, self._unit = error_scale(rows.part.dimension), ERROR_UNIT[rows.part.dimension]
+        self._unit = rows.unit
         self._limit = (
-            self._scale * quantity(layout, "length", "tolerance") if layout and rows.part.is_position else None
+            in_unit(quantity(layout, "length", "tolerance"), rows.unit) if layout and rows.part.is_position else None
         )
-        self._sizes: dict[str, FloatArray] = {state: self._scale * rows.sizes(state) for state in STATES}
+        self._sizes = {state: in_unit(rows.sizes(state), rows.unit) for state in STATES}
 
     def _chart_name(self, name: str, title: str) -> tuple[str, str]:
         """Name and title of a chart; they name the part unless it is positions."""
@@ -169,16 +168,17 @@ class _Part:
 
     def moves(self) -> bool:
         """Whether the places of the errors differ; those of a camera mount that only turns are one."""
-        places = _MM * self._rows.anchors[np.isfinite(self._rows.anchors).all(axis=1)]
+        places = millimetres(self._rows.anchors[np.isfinite(self._rows.anchors).all(axis=1)])
         return bool(len(places)) and float(np.ptp(places, axis=0).max()) > _AT_REST
 
     def planes(self) -> Chart:
         """Errors after calibration on three planes, with the mean of each cell."""
-        places, size = _MM * self._rows.anchors, self._sizes["after"]
+        places, size = millimetres(self._rows.anchors), self._sizes["after"]
         known = np.flatnonzero(np.isfinite(places).all(axis=1) & np.isfinite(size))
         known = known[np.argsort(size[known], kind="stable")]  # the largest on top
         usual = ~self._rows.outlier[known]
-        highest = self._scale * ranges({"after": self._rows.sizes("after")}, self._rows.outlier).get("after", [0, 1])[1]
+        limits = ranges({"after": self._rows.sizes("after")}, self._rows.outlier).get("after", [0, 1])
+        highest = in_unit(limits[1], self._unit)
         palette = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b, _ in colours().tolist()]
 
         def painted(values: FloatArray) -> list[str]:
@@ -226,7 +226,7 @@ class _Part:
 
     def joint_charts(self) -> Chart:
         """Residuals against each joint, with the local mean of each component."""
-        left, axes = self._scale * self._rows.residuals("after"), self._rows.part.axes
+        left, axes = in_unit(self._rows.residuals("after"), self._unit), self._rows.part.axes
         usual = ~self._rows.outlier
         looks = list("xyz")
         beyond = self._rows.outlier.any() and np.isfinite(left[usual]).any()

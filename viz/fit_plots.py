@@ -11,13 +11,12 @@ from matplotlib.axes import Axes
 from calib import Fit
 from calib.core.base.arrays import BoolArray
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.units import PER_SI
+from calib.core.base.units import millimetres
 from viz.pose_sources import from_fit
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable
 from viz.scene import ViewerJoint, joints_of
 from viz.svg import AXES, BLUE, GREY, STATES, plain_ticks
 
-_MM = PER_SI["length"]["mm"]
 _GROUP_MARKS = {IDENTIFICATION: ("o", None), VALIDATION: ("D", "white")}  # as in the viewer; None: filled in colour
 _STILL = 0.01  # a joint did not move if its range is less [deg, mm]
 
@@ -26,7 +25,7 @@ def draw_histogram(axes: Any, table: PoseTable) -> None:
     """Draw the histogram of errors, before and after."""
     from matplotlib.ticker import MaxNLocator
 
-    lengths = {state: _MM * np.linalg.norm(table.error(state), axis=1) for state in STATES}
+    lengths = {state: millimetres(np.linalg.norm(table.error(state), axis=1)) for state in STATES}
     everything = np.concatenate(list(lengths.values()))
     positive = everything[everything > 0]
     low, high = (float(positive.min()), float(positive.max())) if len(positive) else (1e-3, 1.0)
@@ -50,7 +49,7 @@ def draw_histogram(axes: Any, table: PoseTable) -> None:
 def draw_residuals(axes: Any, table: PoseTable, joint: ViewerJoint, number: int) -> None:
     """Draw residuals after calibration against the actuated joint with this index."""
     values = joint.per_si * table.joints[:, number]
-    for order, (name, component) in enumerate(zip(AXES, (_MM * table.error("after")).T, strict=True)):
+    for order, (name, component) in enumerate(zip(AXES, millimetres(table.error("after")).T, strict=True)):
         colour, marker = AXES[name]
         axes.plot(
             values,
@@ -81,7 +80,7 @@ def draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
     outlier = np.isin(places, table.place[rows & table.outlier])
     for state, (colour, line) in STATES.items():
         lengths = np.full(len(places), -np.inf)
-        sizes = _MM * np.linalg.norm(table.error(state)[rows], axis=1)
+        sizes = millimetres(np.linalg.norm(table.error(state)[rows], axis=1))
         np.fmax.at(lengths, np.searchsorted(places, table.place[rows]), sizes)
         lengths = np.where(lengths > 0, lengths, np.nan)
         axes.plot(places, lengths, line, color=colour, linewidth=0.7, alpha=0.6, label=f"{state} calibration")

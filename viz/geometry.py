@@ -18,7 +18,7 @@ from calib.core.robots.urdf.meshes import find_mesh
 from calib.shared.links import Link, read_links
 from calib.shared.links import LinkShape as Visual
 from viz.plain_links import PlainLinks
-from viz.shapes import GREY, Colour, Shape, mesh, primitive, thin
+from viz.shapes import GREY, Colour, Shape, thin
 
 _MOST_FACES = 40_000  # of one mesh; more make the page slow and do not show on a screen
 
@@ -70,7 +70,7 @@ def _visual(name: str, link: str, visual: Visual, urdf_path: str) -> list[Shape]
     if visual.kind == "mesh":
         return _load_mesh(name, link, visual, origin, urdf_path)
     kind = cast(Literal["box", "cylinder", "sphere"], visual.kind)
-    return [primitive(name, link, kind, visual.size, origin, GREY if visual.colour is None else _colour(visual.colour))]
+    return [Shape(name, link, kind, visual.size, origin, GREY if visual.colour is None else _colour(visual.colour))]
 
 
 def _load_mesh(name: str, link: str, visual: Visual, origin: FloatArray, urdf_path: str) -> list[Shape]:
@@ -90,7 +90,7 @@ def _load_mesh(name: str, link: str, visual: Visual, origin: FloatArray, urdf_pa
         vertices, faces = thin(np.asarray(geometry.vertices), np.asarray(geometry.faces), _MOST_FACES)
         points = vertices @ T_file_part[:3, :3].T + T_file_part[:3, 3]
         colour = _own_colour(geometry.visual) if visual.colour is None else _colour(visual.colour)
-        shapes.append(mesh(f"{name}.{part}", link, points * np.array(visual.size), faces, colour, origin))
+        shapes.append(Shape(f"{name}.{part}", link, "mesh", (), origin, colour, points * np.array(visual.size), faces))
     if not shapes:
         raise ValueError(f"mesh '{visual.file}' holds no triangles")
     return shapes

@@ -17,7 +17,7 @@ from calib.core.instruments.kind import FrameInstrument, Instrument
 from calib.core.instruments.pixel import Pixel
 from calib.core.instruments.touch import Touch
 from viz.bodies import Bodies, PosedRobot
-from viz.shapes import DARK, Colour, Shape, mesh, primitive, rotation_onto_z
+from viz.shapes import DARK, Colour, Shape, rod, translation
 
 _BRASS: Colour = (0.80, 0.58, 0.20, 1.0)
 _CLEAR: Colour = (0.80, 0.58, 0.20, 0.4)  # for touching and touched shapes: errors are drawn inside them
@@ -79,7 +79,7 @@ def _shapes_of(instrument: Instrument, size: float) -> list[Shape]:
 def _(instrument: FrameInstrument, size: float) -> list[Shape]:
     balls = [_ball(instrument.target, 0.008 * size)] if _tells_distances(instrument) else []
     places = [
-        primitive(f"{instrument.name}/{place.name}", _body(place.name), "sphere", (0.01 * size,), np.eye(4), _BRASS)
+        Shape(f"{instrument.name}/{place.name}", _body(place.name), "sphere", (0.01 * size,), colour=_BRASS)
         for place in instrument.places()
     ]
     return balls + places
@@ -92,14 +92,14 @@ def _(touch: Touch, size: float) -> list[Shape]:
     inside = np.array(touch.points_of_artefact or [(0.0, 0.0, 0.0)] * len(touch.touched))
     for k, (name, point) in enumerate(zip(touch.touched, inside, strict=True)):
         body = _body(touch.own[0 if touch.points_of_artefact else k].name)
-        T, label = _translation(point), f"{touch.name}/{name}"
+        T, label = translation(point), f"{touch.name}/{name}"
         if touch.surface == "socket":
-            shapes.append(primitive(label, body, "sphere", (1.3 * ball,), T, _CLEAR))
+            shapes.append(Shape(label, body, "sphere", (1.3 * ball,), T, _CLEAR))
         elif touch.surface == "plane":
-            shapes.append(primitive(label, body, "box", (0.25 * size, 0.25 * size, 0.002 * size), T, _GLASS))
+            shapes.append(Shape(label, body, "box", (0.25 * size, 0.25 * size, 0.002 * size), T, _GLASS))
         else:
             radius = touch.radii[0 if touch.points_of_artefact else k].value or 0.01
-            shapes.append(primitive(label, body, "sphere", (radius,), T, _CLEAR))
+            shapes.append(Shape(label, body, "sphere", (radius,), T, _CLEAR))
     if touch.points_of_artefact:
         for k, (start, end) in enumerate(itertools.pairwise(inside)):
             shapes += _rod(f"{touch.name}/bar{k}", _body(touch.own[0].name), start, end, 0.002 * size, DARK)
@@ -114,9 +114,7 @@ def _(camera: Pixel, size: float) -> list[Shape]:
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=float)
     rim = depth * np.column_stack([(corners[:, 0] - cx) / fx, (corners[:, 1] - cy) / fy, np.ones(4)])
     edges = [(np.zeros(3), corner) for corner in rim] + list(zip(rim, np.roll(rim, -1, axis=0), strict=True))
-    shapes = [
-        primitive(f"{camera.name}/camera", body, "box", (0.05 * size,) * 3, _translation([0, 0, -0.025 * size]), DARK)
-    ]
+    shapes = [Shape(f"{camera.name}/camera", body, "box", (0.05 * size,) * 3, translation([0, 0, -0.025 * size]), DARK)]
     for k, (start, end) in enumerate(edges):
         shapes += _rod(f"{camera.name}/edge{k}", body, start, end, thin, _BRASS)
     return [*shapes, *_seen_shapes(camera, size)]
@@ -127,36 +125,26 @@ def _seen_shapes(camera: Pixel, size: float) -> list[Shape]:
     points, body = np.array(list(camera.points_of_body.values())), _body(camera.target)
     if camera.board is None:
         return [
-            primitive(f"{camera.target}/{name}", body, "sphere", (0.01 * size,), _translation(point), _BRASS)
+            Shape(f"{camera.target}/{name}", body, "sphere", (0.01 * size,), translation(point), _BRASS)
             for name, point in list(camera.points_of_body.items())[:_POINTS]
         ]
     side = camera.board.smallest
     low, high = points.min(axis=0) - side, points.max(axis=0) + side
     thick = 0.05 * side
     middle = [*(low + high)[:2] / 2, thick]  # z points into the paper
-    plate = primitive(f"{camera.target}/board", body, "box", (*(high - low)[:2], thick), _translation(middle), _PAPER)
+    plate = Shape(f"{camera.target}/board", body, "box", (*(high - low)[:2], thick), translation(middle), _PAPER)
     patch = 0.25 * side * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     corners = (points[:_POINTS, None] + patch + [0.0, 0.0, -thick]).reshape(-1, 3)
     first, quad = 4 * np.arange(len(corners) // 4)[:, None], np.array([[0, 1, 2], [0, 2, 3]])
     faces = np.concatenate([first + quad[0], first + quad[1]])
-    return [plate, mesh(f"{camera.target}/points", body, corners, faces, DARK)]
+    return [plate, Shape(f"{camera.target}/points", body, "mesh", vertices=corners, faces=faces, colour=DARK)]
 
 
 def _ball(target: str, radius: float) -> Shape:
-    return primitive(f"{target}/ball", _body(target), "sphere", (radius,), np.eye(4), _CLEAR)
-
-
-def _translation(point: object) -> FloatArray:
-    T = np.eye(4)
-    T[:3, 3] = np.asarray(point, dtype=float)
-    return T
+    return Shape(f"{target}/ball", _body(target), "sphere", (radius,), colour=_CLEAR)
 
 
 def _rod(name: str, body: str | None, start: FloatArray, end: FloatArray, radius: float, colour: Colour) -> list[Shape]:
     """A thin cylinder between two points; none if they coincide."""
-    length = float(np.linalg.norm(end - start))
-    if length <= 1e-9:
-        return []
-    T = _translation((start + end) / 2)
-    T[:3, :3] = rotation_onto_z((end - start) / length)
-    return [primitive(name, body, "cylinder", (radius, length), T, colour)]
+    apart = np.linalg.norm(end - start) > 1e-9
+    return [rod(name, body, start, end, radius, colour)] if apart else []

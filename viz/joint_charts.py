@@ -7,7 +7,7 @@ import numpy as np
 from calib import Fit
 from calib.core.base.arrays import FloatArray
 from calib.core.base.parameter import Parameter
-from calib.core.base.units import PER_SI
+from calib.core.base.units import from_unit, in_unit, quantity_text
 from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.rows.observed import observe
 from viz.charts import COLOURS, Chart, axis, layer, panel
@@ -89,8 +89,8 @@ def dials(fit: Fit) -> Chart | None:
                 found = fit.parameters[parameter.name]
                 if found.status != "prior" and np.isfinite(found.high95):  # the measurements determine it
                     change, half = found.value - found.nominal, found.high95 - found.value
-                    per_si = PER_SI["angle"][parameter.unit]
-                    offsets.append((parameter, change / per_si, half / per_si))
+                    change, half = (from_unit(value, parameter.unit) for value in (change, half))
+                    offsets.append((parameter, change, half))
     if not offsets:
         return None
     turn = _FURTHEST / max(1e-12, *(max(abs(value), half) for _, value, half in offsets))
@@ -109,8 +109,7 @@ def _dial(parameter: Parameter, value: float, half: float, turn: float) -> dict[
     low, high = np.clip([turn * (value - half), turn * (value + half)], -np.pi, np.pi)
     arc = np.linspace(low, high, 31)
     name, unit = parameter.name, parameter.unit
-    per_si = PER_SI["angle"][unit]
-    says = f"{name}: {per_si * value:+.4f} ± {per_si * half:.2g} {unit}"
+    says = f"{name}: {in_unit(value, unit):+.4f} ± {quantity_text(half, unit, '.2g')}"
     layers = [
         layer("line", x=np.sin(circle), y=np.cos(circle)),
         layer("line", x=[0.0, 0.0], y=[0.9, 1.1]),
@@ -119,5 +118,5 @@ def _dial(parameter: Parameter, value: float, half: float, turn: float) -> dict[
         layer("points", "", COLOURS["after"], x=[-np.sin(needle)], y=[np.cos(needle)], texts=[says]),
     ]
     around = axis("")
-    title = f"{name}\n{per_si * value:+.3f} {unit}"
+    title = f"{name}\n{quantity_text(value, unit, '+.3f')}"
     return dict(panel(around, around, layers, title=title, height=170, equal=True, bare=True))

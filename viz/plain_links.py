@@ -23,7 +23,7 @@ import scipy
 from calib import Robot
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
-from viz.shapes import DARK, Shape, mesh, primitive, rotation_onto_z
+from viz.shapes import DARK, GREY, Colour, Shape, rod, rotation_onto_z, translation
 
 _RADIUS = 0.05  # of the root mean square of distances between two anchors
 _THIN = 0.6  # factor on the radius of bodies that passive joints move, such as rods
@@ -65,7 +65,7 @@ class PlainLinks:
         hull = scipy.spatial.ConvexHull(points)
         inwards = np.einsum("ij,ij->i", _normals(points[hull.simplices]), hull.equations[:, :3]) < 0
         faces = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
-        return [mesh(f"{link}/body", link, points, faces)]
+        return [Shape(f"{link}/body", link, "mesh", vertices=points, faces=faces)]
 
     @cached_property
     def _moving_joints(self) -> dict[str, Any]:
@@ -185,7 +185,7 @@ class PlainLinks:
         radius, run = self._radius, self._run(link)
         if not run:
             end = link in self._moving_joints and link not in self._carries and link not in self._closing_links
-            return [primitive(f"{link}/end", link, "box", (1.6 * radius,) * 3, np.eye(4), DARK)] if end else []
+            return [Shape(f"{link}/end", link, "box", (1.6 * radius,) * 3, colour=DARK)] if end else []
         joint = run[-1]
         if _floats(run, self.robot.mechanism.passive):
             return []
@@ -194,22 +194,22 @@ class PlainLinks:
         if joint.type == "prismatic":
             along[:3, 3] = -self._prismatic_offset(joint, in_parent=False) * 0.5
             box = (2.4 * radius, 2.4 * radius, 3.2 * radius)
-            return [primitive(f"{link}/sleeve", link, "box", box, along, DARK)]
+            return [Shape(f"{link}/sleeve", link, "box", box, along, DARK)]
         turning = [other for other in self._longest_run(run[0]) if other.type in _TURNING]
         if len(turning) > 2:
-            return [primitive(f"{link}/ball", link, "sphere", (1.6 * radius,), np.eye(4), DARK)]
+            return [Shape(f"{link}/ball", link, "sphere", (1.6 * radius,), colour=DARK)]
         size = (1.5 * radius, 3.0 * radius) if len(turning) < 2 else (0.9 * radius, 3.6 * radius)
-        return [primitive(f"{link}/drum", link, "cylinder", size, along, DARK)]
+        return [Shape(f"{link}/drum", link, "cylinder", size, along, DARK)]
 
     def _closures(self, link: str) -> list[Shape]:
         shapes = []
         for number, kind in enumerate(self._closing_links.get(link, [])):
             name = f"{link}/closure{number}"
             if kind == "ball":
-                shapes.append(primitive(name, link, "sphere", (1.6 * self._radius,), np.eye(4), DARK))
+                shapes.append(Shape(name, link, "sphere", (1.6 * self._radius,), colour=DARK))
             elif kind == "drum":
                 size = (1.5 * self._radius, 3.0 * self._radius)
-                shapes.append(primitive(name, link, "cylinder", size, np.eye(4), DARK))
+                shapes.append(Shape(name, link, "cylinder", size, colour=DARK))
         return shapes
 
     def gaps(self, link: str, drawn: list[Shape]) -> list[Shape]:
@@ -231,19 +231,13 @@ def _floats(run: list[Any], passive: tuple[str, ...]) -> bool:
 
 
 def _capsule(
-    name: str, link: str, start: FloatArray, end: FloatArray, radius: float, colour: Any = None
+    name: str, link: str, start: FloatArray, end: FloatArray, radius: float, colour: Colour = GREY
 ) -> list[Shape]:
     """A rod with round ends."""
-    length = float(np.linalg.norm(end - start))
-    pose, ends = np.eye(4), [np.eye(4), np.eye(4)]
-    pose[:3, :3] = rotation_onto_z((end - start) / length)
-    pose[:3, 3] = (start + end) / 2
-    ends[0][:3, 3], ends[1][:3, 3] = start, end
-    painted = {} if colour is None else {"colour": colour}
-    return [
-        primitive(name, link, "cylinder", (radius, length), pose, **painted),
-        *[primitive(f"{name}-end{k}", link, "sphere", (radius,), at, **painted) for k, at in enumerate(ends)],
+    balls = [
+        Shape(f"{name}-end{k}", link, "sphere", (radius,), translation(at), colour) for k, at in enumerate((start, end))
     ]
+    return [rod(name, link, start, end, radius, colour), *balls]
 
 
 def _normals(triangles: FloatArray) -> FloatArray:

@@ -23,6 +23,7 @@ import numpy as np
 
 from calib import Fit, Measurements, Robot
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.units import ERROR_UNIT
 from calib.core.fitting.error_sets import STATES, ErrorSet
 from calib.core.fitting.outliers import numbers_by_instrument
 from calib.core.instruments.kind import Comparison, FrameInstrument, JointInstrument, Part, View
@@ -69,6 +70,11 @@ class ReadingErrors(RowTable):
     labels: tuple[str, ...]
     targets: tuple[str, ...]
     instruments: tuple[str, ...]
+
+    @property
+    def unit(self) -> str:
+        """Unit in which pages show these errors."""
+        return ERROR_UNIT[self.part.dimension]
 
     def arrows(self, state: str) -> FloatArray:
         """Return the arrows `before` or `after` calibration, (n, 3) [m or rad]."""

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.core.base.arrays import IntArray
-from calib.core.base.errors import InputError
-from calib.core.base.units import error_scale
+from calib.core.base.errors import require_package
+from calib.core.base.units import in_unit
 from calib.core.base.version import DISTRIBUTION
 from calib.core.fitting.error_sets import STATES
 from viz.charts import COLOURS
@@ -29,12 +29,8 @@ def recording(scene: ViewerScene) -> bytes:
     Raises:
         InputError: rerun is not installed.
     """
-    try:
-        import rerun as rr
-    except ImportError:
-        raise InputError(
-            f"--rrd needs rerun, which is not installed: pip install rerun-sdk (or {DISTRIBUTION}[rerun])"
-        ) from None
+    missing = f"--rrd needs rerun, which is not installed: pip install rerun-sdk (or {DISTRIBUTION}[rerun])"
+    rr = require_package("rerun", missing)
     stream = rr.RecordingStream(f"calibration of {scene.title}")
     kept = stream.memory_recording()
     stream.log("scene", rr.Transform3D(mat3x3=scene.view.upright), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -48,7 +44,7 @@ def recording(scene: ViewerScene) -> bytes:
     factors, first = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:], 0
     of_robot = [np.arange(len(scene.shown)), *scene.pose_of_row] if scene.shows_poses else list(scene.pose_of_row)
     for rows, enlarged, poses in zip(rows_of(scene), factors, of_robot, strict=True):
-        name, scale = rows.part.name.replace(" ", "_"), error_scale(rows.part.dimension)
+        name = rows.part.name.replace(" ", "_")
         known = np.isfinite(rows.anchors).all(axis=1)
         labels = [f"pose {label}{', left out' if group == EXCLUDED else ', outlier' if bad else ''}"
                   for label, group, bad in zip(rows.labels, rows.group, rows.outlier, strict=True)]  # fmt: skip
@@ -65,7 +61,7 @@ def recording(scene: ViewerScene) -> bytes:
                 stream.log(place, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
             for state in STATES:
                 if np.isfinite(size := rows.sizes(state)[row]):
-                    stream.log(f"errors/{name}/{state}", rr.Scalars(scale * size))
+                    stream.log(f"errors/{name}/{state}", rr.Scalars(in_unit(size, rows.unit)))
         for row, instrument, image in _images(rows):
             stream.set_time("row", sequence=first + row)
             stream.log(f"images/{instrument}", rr.Points2D(rows.pixels[image]))

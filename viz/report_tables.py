@@ -9,7 +9,7 @@ import numpy as np
 
 from calib import Fit
 from calib.core.base.arrays import FloatArray
-from calib.core.base.units import ERROR_UNIT, error_scale, quantity
+from calib.core.base.units import ERROR_UNIT, millimetres, quantity
 from calib.core.base.words import significant
 from calib.core.fitting.error_sets import STATES, ErrorSet, error_table
 from calib.core.instruments.kind import Part
@@ -88,7 +88,7 @@ def worst(fit: Fit) -> str:
     outliers = findings.validation_outliers(fit) if used == VALIDATION else findings.outliers(fit)
     table = average_poses(pose_table_of_errors(fit, used, errors, outliers=outliers))
     row = int(np.nanargmax(np.linalg.norm(table.error("after"), axis=1)))
-    shown = error_scale("length") * table.measured[row]
+    shown = millimetres(table.measured[row])
     place = ", ".join(f"{axis} {_whole(value)}" for axis, value in zip("xyz", shown, strict=True))
     point = f", point {table.targets[row]}" if len(set(table.targets)) > 1 else ""
     outlier = " (an outlier)" if table.outlier[row] else ""
@@ -144,7 +144,7 @@ def _worst_reading(errors: ErrorSet) -> str:
 def extent(table: PoseTable) -> str:
     """Return the box of measured points in words [mm]; empty without points."""
     fitted = np.isin(np.array(table.group), (IDENTIFICATION, VALIDATION))
-    points: FloatArray = error_scale("length") * table.measured[fitted & np.isfinite(table.measured).all(axis=1)]
+    points: FloatArray = millimetres(table.measured[fitted & np.isfinite(table.measured).all(axis=1)])
     if not len(points):
         return ""
     ranges = zip("xyz", points.min(axis=0), points.max(axis=0), strict=True)

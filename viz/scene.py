@@ -11,7 +11,7 @@ import scipy
 
 from calib import Fit, Robot
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import DISPLAY_UNIT, PER_SI
+from calib.core.base.units import DISPLAY_UNIT, in_unit
 from calib.core.base.words import count_noun
 from calib.core.fitting.error_sets import STATES
 from calib.core.results.sections.noise import instrument_blocks
@@ -271,11 +271,8 @@ def _errors_of(instruments: list[str], part: Mapping[str, Any], errors: Mapping[
 
 def joints_of(robot: Robot) -> tuple[ViewerJoint, ...]:
     """Return the names and units of the actuated joints of a robot."""
-    dimensions = robot.mechanism.dimensions
-    return tuple(
-        ViewerJoint(name, DISPLAY_UNIT[dimensions[name]], PER_SI[dimensions[name]][DISPLAY_UNIT[dimensions[name]]])
-        for name in robot.joint_names
-    )
+    units = {name: DISPLAY_UNIT[robot.mechanism.dimensions[name]] for name in robot.joint_names}
+    return tuple(ViewerJoint(name, unit, in_unit(1.0, unit)) for name, unit in units.items())
 
 
 def nice_factor(typical: float, longest: float) -> float:

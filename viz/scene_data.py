@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale
+from calib.core.base.units import in_unit, millimetres
 from calib.core.fitting.error_sets import STATES
 from calib.core.instruments.position import POSITION
 from viz.bodies import PosedRobot
@@ -35,7 +35,6 @@ _MARKS = {IDENTIFICATION: "disc", VALIDATION: "diamond", MEASURED: "square", EXC
 _MARKS[COLLIDES] = "alarm"
 _SHORT = {IDENTIFICATION: "fit", VALIDATION: "val", MEASURED: "meas", EXCLUDED: "out"}  # suffixes of repeated names
 _SHORT |= {PLANNED: "plan", COLLIDES: "hits"}
-_MM = PER_SI["length"]["mm"]
 _ELLIPSOID = 0.012  # of the scene's size: length of typical enlarged half axes at first
 _COLOURED = 0.95  # part of the errors that have colours of their own; larger ones share the last
 _EXACT = 1e-12  # [SI]: smallest range of colours, for errors of zero
@@ -99,7 +98,7 @@ def summary(scene: ViewerScene) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"group": name, "count": int(np.sum(chosen))}
         for state in scene.states:
             lengths = np.linalg.norm(scene.poses.error(state)[chosen], axis=1)
-            lengths = _MM * lengths[np.isfinite(lengths)]
+            lengths = millimetres(lengths[np.isfinite(lengths)])
             known = {"rms": float(np.sqrt(np.mean(lengths**2))), "max": float(lengths.max())} if len(lengths) else None
             row[state] = known
         if row["count"] and scene.states and scene.shows_poses:
@@ -121,10 +120,10 @@ def certainty(scene: ViewerScene) -> dict[str, Any]:
     spread = np.linalg.norm(table.spread, axis=1)
     spread = spread[np.isfinite(spread) & np.any(spread > _EXACT)]
     return {
-        "noise": _MM * float(np.median(noise[known])) if np.any(known) else None,
-        "means": [_MM * float(pick(table.sigma[known])) for pick in (np.min, np.max)] if np.any(known) else None,
+        "noise": millimetres(float(np.median(noise[known]))) if np.any(known) else None,
+        "means": [millimetres(float(pick(table.sigma[known]))) for pick in (np.min, np.max)] if np.any(known) else None,
         "readings": [int(pick(table.readings[known])) for pick in (np.min, np.max)] if np.any(known) else None,
-        "predicted": [_MM * float(spread.mean()), _MM * float(spread.max())] if len(spread) else None,
+        "predicted": [millimetres(float(length)) for length in (spread.mean(), spread.max())] if len(spread) else None,
     }
 
 
@@ -215,7 +214,7 @@ def _parts(scene: ViewerScene) -> list[dict[str, Any]]:
     factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
     parts = []
     for rows, enlargements in zip(rows_of(scene), factors, strict=True):
-        is_position, scale = rows.part.is_position, _scale(rows)
+        is_position = rows.part.is_position
         every = {state: scene.poses.error(state) for state in STATES} if is_position else {}
         sizes = {state: np.linalg.norm(errors, axis=1) for state, errors in every.items()}
         sizes = sizes or {state: rows.sizes(state) for state in STATES}
@@ -223,12 +222,12 @@ def _parts(scene: ViewerScene) -> list[dict[str, Any]]:
         parts.append(
             {
                 "name": rows.part.name,
-                "unit": ERROR_UNIT[rows.part.dimension],
+                "unit": rows.unit,
                 "axes": list(rows.part.axes),
                 "position": is_position,
                 "turns": rows.turns,
                 "vector_factors": enlargements,
-                "range": {state: [scale * low, scale * high] for state, (low, high) in limits.items()},
+                "range": {state: [in_unit(end, rows.unit) for end in ends] for state, ends in limits.items()},
             }
         )
     return parts
@@ -251,7 +250,7 @@ def mean_distances(scene: ViewerScene, other: Mapping[str, Any]) -> list[float] 
         )
         if errors.part.name == other["part"] and not errors.turns and np.any(chosen):
             squares = (np.sum(errors.arrows(state)[chosen] ** 2, axis=1) for state in STATES)
-            return [_MM * float(np.sqrt(np.nanmean(square))) for square in squares]
+            return [millimetres(float(np.sqrt(np.nanmean(square)))) for square in squares]
     return None
 
 
@@ -276,7 +275,7 @@ def _table(scene: ViewerScene) -> dict[str, Any]:
         "after": [rows.after for rows in parts],
         "sigma": [points.sigma, np.full(n_others, np.nan)],
         "spread": [points.spread, np.full((n_others, 3), np.nan)],
-        **{f"size_{state}": [_scale(errors) * errors.sizes(state) for errors in scene.readings] for state in STATES},
+        **{f"size_{state}": [in_unit(rows.sizes(state), rows.unit) for rows in scene.readings] for state in STATES},
         **{f"residual_{state}": [_components(errors, state) for errors in scene.readings] for state in STATES},
     }
     return {
@@ -292,14 +291,10 @@ def _table(scene: ViewerScene) -> dict[str, Any]:
     }
 
 
-def _scale(errors: ReadingErrors) -> float:
-    return error_scale(errors.part.dimension)
-
-
 def _components(errors: ReadingErrors, state: str) -> FloatArray:
     """The first components of errors, in the unit of the part, (n, _MOST_AXES); NaN for missing ones."""
     components = np.full((len(errors), _MOST_AXES), np.nan)
-    kept = _scale(errors) * errors.residuals(state)[:, :_MOST_AXES]
+    kept = in_unit(errors.residuals(state)[:, :_MOST_AXES], errors.unit)
     components[:, : kept.shape[1]] = kept
     return components
 

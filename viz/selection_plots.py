@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.core.base.units import PER_SI
+from calib.core.base.units import millimetres
 from calib.planning.assessment import Assessment
 from calib.planning.selection import Selection
 from calib.planning.selection_problem import TASK
@@ -15,7 +15,6 @@ from viz.svg import BLUE, GREY, ORANGE, new_figure, plain_ticks, svg_file, with_
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MM = PER_SI["length"]["mm"]
 _MARKS = ("-", "--", ":", "-.")
 
 
@@ -75,10 +74,10 @@ def accuracy(assessment: Assessment) -> Figure:
     counts = np.array([row.count for row in rows])
     inside = np.array([row.uniform is not None for row in rows])
     uniform, chosen = (
-        np.array([np.nan if task is None else _MM * task.rms for task in tasks])
+        np.array([np.nan if task is None else millimetres(task.rms) for task in tasks])
         for tasks in ([row.uniform for row in rows], [row.chosen for row in rows])
     )
-    largest = np.array([np.nan if row.chosen is None else _MM * row.chosen.maximum for row in rows])
+    largest = np.array([np.nan if row.chosen is None else millimetres(row.chosen.maximum) for row in rows])
     axes.plot(counts[inside], uniform[inside], "s--", color=ORANGE, label="spread uniformly, RMS")
     axes.plot(counts[inside], chosen[inside], "o-", color=BLUE, label="best of these, RMS")
     axes.plot(counts[inside], largest[inside], "o:", color=BLUE, label="best of these, largest")
@@ -93,7 +92,7 @@ def accuracy(assessment: Assessment) -> Figure:
 def index_history(selection: Selection) -> Figure:
     """Draw the index over the exchanges of each run, and the proven bound."""
     figure, (axes,) = new_figure(1, 1, (6.4, 3.6))
-    scale = _MM if selection.index == TASK else 1.0
+    scale = millimetres(1.0) if selection.index == TASK else 1.0
     for k, run in enumerate(selection.runs):
         values = scale * np.array(run.history)
         label = f"start {k + 1}: {run.start}"

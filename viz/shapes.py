@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 
 Colour = tuple[float, float, float, float]
 GREY: Colour = (0.62, 0.66, 0.7, 1.0)
@@ -16,7 +17,7 @@ _UPPER = np.array(np.meshgrid(*[(False, True)] * 3)).reshape(3, -1).T  # coordin
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class Shape(ReadOnlyArrays):
     """A drawable shape.
 
     Attributes:
@@ -32,11 +33,11 @@ class Shape:
     name: str
     body: str | None
     kind: Literal["box", "cylinder", "sphere", "mesh"]
-    size: tuple[float, ...]
-    T_body_shape: FloatArray
-    colour: Colour
-    vertices: FloatArray
-    faces: IntArray
+    size: tuple[float, ...] = ()
+    T_body_shape: FloatArray = field(default_factory=lambda: np.eye(4))
+    colour: Colour = GREY
+    vertices: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    faces: IntArray = field(default_factory=lambda: np.zeros((0, 3), dtype=np.intp))
 
     def triangles(self) -> tuple[FloatArray, IntArray]:
         """Return the surface in its link's frame: vertices (n, 3) [m], and vertex indices of triangles, (m, 3)."""
@@ -66,46 +67,19 @@ class Shape:
         return corners
 
 
-def primitive(
-    name: str,
-    body: str | None,
-    kind: Literal["box", "cylinder", "sphere"],
-    size: tuple[float, ...],
-    T_body_shape: FloatArray,
-    colour: Colour = GREY,
-) -> Shape:
-    """Return a box, cylinder or sphere; the arguments are attributes of `Shape`, T_body_shape (4, 4) [m]."""
-    return Shape(
-        name,
-        body,
-        kind,
-        tuple(float(value) for value in size),
-        np.array(T_body_shape, dtype=float),
-        colour,
-        np.empty((0, 3)),
-        np.empty((0, 3), dtype=np.intp),
-    )
+def translation(point: ArrayLike) -> FloatArray:
+    """Return the pose of a shape whose axes are parallel to its link's, (4, 4), at a point (3,) [m]."""
+    T = np.eye(4)
+    T[:3, 3] = point
+    return T
 
 
-def mesh(
-    name: str,
-    body: str | None,
-    vertices: FloatArray,
-    faces: IntArray,
-    colour: Colour = GREY,
-    T_body_shape: FloatArray | None = None,
-) -> Shape:
-    """Return a mesh of corners (n, 3) [m] and triangles of their indices (m, 3), at a pose in its link (4, 4) [m]."""
-    return Shape(
-        name,
-        body,
-        "mesh",
-        (),
-        np.eye(4) if T_body_shape is None else np.array(T_body_shape, dtype=float),
-        colour,
-        np.array(vertices, dtype=float),
-        np.array(faces, dtype=np.intp),
-    )
+def rod(name: str, body: str | None, start: FloatArray, end: FloatArray, radius: float, colour: Colour = GREY) -> Shape:
+    """Return a cylinder between two different points, (3,) [m] each."""
+    length = float(np.linalg.norm(end - start))
+    T = translation((start + end) / 2)
+    T[:3, :3] = rotation_onto_z((end - start) / length)
+    return Shape(name, body, "cylinder", (radius, length), T, colour)
 
 
 def thin(vertices: FloatArray, faces: IntArray, most: int) -> tuple[FloatArray, IntArray]:

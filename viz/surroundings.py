@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, Literal, cast
 
 import numpy as np
 
 from calib import Robot
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DescriptionError
 from calib.core.robots.mechanism import rigid
 from calib.motion.surroundings import ObstacleSection, ShapeSection
-from viz.shapes import Colour, Shape, mesh, primitive
+from viz.shapes import Colour, Shape, translation
 
 _STONE: Colour = (0.72, 0.66, 0.58, 0.55)
 _TOOL: Colour = (0.80, 0.58, 0.20, 0.6)
@@ -47,25 +47,20 @@ def _shape(name: str, body: str, section: ShapeSection, colour: Colour, plane: f
     T = rigid(section.xyz, section.rpy).homogeneous
     if isinstance(section, ObstacleSection) and section.plane:
         thick = plane / 500
-        return primitive(name, body, "box", (plane, plane, thick), T @ _lower(thick / 2), colour)
+        return Shape(name, body, "box", (plane, plane, thick), T @ translation((0.0, 0.0, -thick / 2)), colour)
     if section.kind == "mesh":
-        return replace(_load_shape(name, body, section), T_body_shape=T, colour=colour)
+        return Shape(name, body, "mesh", (), T, colour, *_read_mesh(section))
     size = getattr(section, section.kind)
     kind = cast(Literal["box", "cylinder", "sphere"], section.kind)
-    return primitive(name, body, kind, size if isinstance(size, tuple) else (size,), T, colour)
+    return Shape(name, body, kind, size if isinstance(size, tuple) else (size,), T, colour)
 
 
-def _lower(depth: float) -> Any:
-    T = np.eye(4)
-    T[2, 3] = -depth
-    return T
-
-
-def _load_shape(name: str, body: str, section: ShapeSection) -> Shape:
+def _read_mesh(section: ShapeSection) -> tuple[FloatArray, IntArray]:
+    """Corners (n, 3) [m] and triangles (m, 3) of a mesh file."""
     import trimesh
 
     try:
         read: Any = trimesh.load(section.mesh, force="mesh")
     except Exception as error:  # the readers of mesh files raise many kinds
         raise DescriptionError(f"{section.mesh}: the mesh cannot be read ({error})") from None
-    return mesh(name, body, section.scale * np.asarray(read.vertices), np.asarray(read.faces))
+    return section.scale * np.asarray(read.vertices), np.asarray(read.faces)

@@ -7,7 +7,7 @@ from typing import cast
 
 import click
 
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.commands.common import (
     Output,
     failure_lines,
@@ -132,7 +132,7 @@ def _origin_of_values(parameters: str | None, result: str | None) -> list[str]:
         return []
     content = read_content(result)
     sigma = content.get("sigma")
-    noise = "unknown" if sigma is None else f"{millimetres(cast(float, sigma)):.4g} mm"
+    noise = "unknown" if sigma is None else quantity_text(cast(float, sigma), "mm", ".4g")
     return [
         f"values: {result}, made by {content.get('program', 'an unknown version')}",
         f"fitted to {content['n_poses']} poses, {content['n_rows']} measured values; noise found: {noise}",

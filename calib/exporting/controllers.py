@@ -17,7 +17,7 @@ import yaml
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
-from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.core.base.units import DISPLAY_UNIT, in_unit, millimetres, quantity_text
 from calib.core.base.words import listing
 from calib.core.calibrating.file_robots import with_zeros
 from calib.core.data.in_memory import as_measurements
@@ -205,7 +205,7 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
         q, where = judging_poses(robot)
         signs, offsets, *errors = _joint_zeros(robot, q)
         left, before = (Remainder.from_distances(distances, where) for distances in errors)
-        reached = f"{left.text()}; the nominal model without them has {millimetres(before.rms):.4g} mm RMS"
+        reached = f"{left.text()}; the nominal model without them has {quantity_text(before.rms, 'mm', '.4g')} RMS"
     else:
         left, reached = None, error_comparison(robot, Holds.ZEROS)
         signs, offsets = file_robot.signs, file_robot.offsets
@@ -216,13 +216,11 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
         *(provenance_lines(robot) if file_robot is None else source_lines(robot)),
         *provenance,
     ]
-    dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
-    units = [DISPLAY_UNIT[dimension] for dimension in dimensions]
-    shown = [float(value) * display_scale(dimension) for value, dimension in zip(offsets, dimensions, strict=True)]
+    units = [DISPLAY_UNIT[robot.mechanism.dimensions[name]] for name in robot.joint_names]
     columns: list[tuple[str, Sequence[object]]] = [
         ("joint", robot.joint_names),
         ("sign", [f"{sign:.0f}" for sign in signs]),
-        ("offset", shown),
+        ("offset", [in_unit(float(value), unit) for value, unit in zip(offsets, units, strict=True)]),
         ("unit", units),
     ]
     return ControllerFile(format_table(columns, lines).encode(), statement, left)

@@ -25,7 +25,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.units import DISPLAY_UNIT, PER_SI
+from calib.core.base.units import DISPLAY_UNIT, in_unit
 from calib.core.data.table_writing import format_table
 from calib.shared.denavit_hartenberg import (
     CONVENTION_MARK,
@@ -124,7 +124,7 @@ def format_dh(table: DhTable, comments: Sequence[str] = ()) -> str:
     ]
     for name, dimension in NUMBERS.items():
         unit = DISPLAY_UNIT[dimension]
-        values = [getattr(row, name) * PER_SI[dimension][unit] for row in table.rows]
+        values = [in_unit(getattr(row, name), unit) for row in table.rows]
         columns.append((f"{name} [{unit}]", values))
     columns.append(("sign", [f"{row.sign:.0f}" for row in table.rows]))
     for name in ("lower", "upper"):
@@ -135,6 +135,5 @@ def format_dh(table: DhTable, comments: Sequence[str] = ()) -> str:
 def _limit(row: DhRow, value: float) -> str:
     if not math.isfinite(value):
         return ""
-    dimension = NUMBERS["d" if row.kind == "prismatic" else "theta"]
-    unit = DISPLAY_UNIT[dimension]
-    return f"{value * PER_SI[dimension][unit]!r} {unit}"
+    unit = DISPLAY_UNIT[NUMBERS["d" if row.kind == "prismatic" else "theta"]]
+    return f"{in_unit(value, unit)!r} {unit}"

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, Component
-from calib.core.base.units import Dimension, error_scale, quantity_text
+from calib.core.base.units import ERROR_UNIT, Dimension, in_unit, quantity_text
 from calib.core.robots import kinematics
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.joint_sampling import joint_samples
@@ -63,7 +63,9 @@ class Gap:
 
     def text(self) -> str:
         """Return a sentence on the gap, in mm or mrad."""
-        apart, change = (quantity_text(value, self.dimension, ".4f") for value in (self.at_home, self.change))
+        apart, change = (
+            quantity_text(value, ERROR_UNIT[self.dimension], ".4f") for value in (self.at_home, self.change)
+        )
         which = f"loop {self.name}, direction {self.direction}"
         if max(abs(self.at_home), self.change) < 1e-9:
             return f"{which}: stays closed in {self.n_poses} poses{self.where}; a 3D constraint has nothing to absorb"
@@ -132,7 +134,7 @@ def require_small(robot: Robot, gaps: tuple[Gap, ...]) -> None:
         limit = LARGEST_CHANGE * (1.0 if gap.direction in ANGLE_COMPONENTS else robot.mechanism.length)
         if gap.change > limit:
             raise InputError(
-                f"{gap.text()}, more than {error_scale(gap.dimension) * limit:.3g}: the mechanism moves in this"
+                f"{gap.text()}, more than {in_unit(limit, ERROR_UNIT[gap.dimension]):.3g}: the mechanism moves in this"
                 " direction; use the variant with free slides (--free-slide)"
             )
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import InputError
-from calib.core.base.units import Dimension, quantity_text
+from calib.core.base.units import ERROR_UNIT, Dimension, quantity_text
 from calib.core.base.words import listing
 from calib.core.data.table_writing import format_table
 from calib.core.results.urdf import urdf_bytes
@@ -110,7 +110,7 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
 
 def _remark_on_rest(term: JointTerm, values: FloatArray, dimension: Dimension) -> str:
     """A sentence on the part of a joint's error that is not in its table."""
-    size = quantity_text(float(np.max(np.abs(values))), dimension)
+    size = quantity_text(float(np.max(np.abs(values))), ERROR_UNIT[dimension])
     columns = [f"the column '{name}'" for name in term.reads()]
     depends_on = listing([*(condition.words for condition in term.depends_on), *columns])
     remainder = f"{size} {term.per}".rstrip()

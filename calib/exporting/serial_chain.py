@@ -14,7 +14,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
-from calib.core.base.units import error_scale, millimetres
+from calib.core.base.units import quantity_text
 from calib.core.robots.mechanism import Mechanism
 from calib.core.robots.robot import Robot
 from calib.core.robots.urdf.reader import HELD_TYPES, UrdfJoint
@@ -119,9 +119,9 @@ class Remainder:
         if self.largest < _SAME_PLACE and not self.angle >= _SAME_PLACE:
             angle = "" if np.isnan(self.angle) else f", angles within {self.angle:.1g} rad"
             return f"held exactly: target within {self.largest:.1g} m{angle} {poses}"
-        angle = "" if np.isnan(self.angle) else f", {self.angle * error_scale('angle'):.4g} mrad at most"
-        rms, largest = millimetres(self.rms), millimetres(self.largest)
-        return f"error left at the target: {rms:.4g} mm RMS, {largest:.4g} mm at most{angle} {poses}"
+        angle = "" if np.isnan(self.angle) else f", {quantity_text(self.angle, 'mrad', '.4g')} at most"
+        rms, largest = (quantity_text(length, "mm", ".4g") for length in (self.rms, self.largest))
+        return f"error left at the target: {rms} RMS, {largest} at most{angle} {poses}"
 
 
 def judging_poses(robot: Robot) -> tuple[FloatArray, str]:

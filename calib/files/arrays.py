@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from calib.core.base.errors import DataError
+from calib.core.base.errors import DataError, require_package
 from calib.core.base.files import read_bytes
 from calib.core.data.other_formats import SomeFile
 
@@ -57,13 +57,8 @@ def mat73_columns(file: SomeFile) -> dict[str, Sequence[object]]:
     Raises:
         DataError: The package h5py is missing; for others see `numpy_columns`.
     """
-    try:
-        import h5py
-    except ImportError:
-        raise DataError(
-            f"{file.path}: is a MATLAB file of version 7.3, and the package that reads them is not installed: pip"
-            " install h5py; or save it with -v7"
-        ) from None
+    what = f"{file.path}: is a MATLAB file of version 7.3, and the package that reads them is not installed"
+    h5py = require_package("h5py", f"{what}: pip install h5py; or save it with -v7", DataError)
     with _explain_errors(file), h5py.File(file.path, "r") as opened:
         return _columns(file, {n: np.asarray(d).T for n, d in opened.items() if isinstance(d, h5py.Dataset)})
 

@@ -41,7 +41,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
-from calib.core.base.errors import UrdfError
+from calib.core.base.errors import UrdfError, require_package
 from calib.core.base.words import listing
 from calib.core.numerics import linalg
 from calib.core.robots.urdf.text import ForeignLoop, ForeignRobot
@@ -85,13 +85,8 @@ def read_mjcf(path: str, *_: object) -> tuple[bytes, ForeignRobot]:
 
     `UrdfError` if MuJoCo is not installed, or cannot read the file; or URDF has no equivalent for its content.
     """
-    try:
-        import mujoco
-    except ImportError:
-        raise UrdfError(
-            f"{path}: is an MJCF file, and the package that reads them is not installed: pip install mujoco; or give a"
-            " URDF"
-        ) from None
+    what = f"{path}: is an MJCF file, and the package that reads them is not installed"
+    mujoco = require_package("mujoco", f"{what}: pip install mujoco; or give a URDF", UrdfError)
     try:
         spec = mujoco.MjSpec.from_file(str(Path(path).resolve()))  # mesh paths are relative to the working folder
         with warnings.catch_warnings(action="ignore"):  # warnings about soft bodies

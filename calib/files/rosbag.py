@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.base.errors import DataError
+from calib.core.base.errors import DataError, require_package
 from calib.core.base.words import count_noun
 
 _WINDOW = 0.25  # before and after a measurement [s]
@@ -169,17 +169,12 @@ def _messages(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str
 @contextmanager
 def _open_bag(path: Path | str) -> Iterator[Any]:
     """The reader of a bag; its errors become a `DataError`."""
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise DataError(
-            f"{path}: is a ROS bag, and the package that reads them is not installed: pip install rosbags"
-        ) from None
+    missing = f"{path}: is a ROS bag, and the package that reads them is not installed: pip install rosbags"
+    bags, types = (require_package(f"rosbags.{name}", missing, DataError) for name in ("highlevel", "typesys"))
     if not Path(path).exists():
         raise DataError(f"{path}: no such file; give a CSV file or a bag")
     try:
-        with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with bags.AnyReader([Path(path)], default_typestore=types.get_typestore(types.Stores.ROS2_HUMBLE)) as reader:
             yield reader
     except DataError:
         raise

@@ -15,7 +15,7 @@ import scipy
 
 from calib.core.base.errors import DataError
 from calib.core.base.files import write_file
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.settings import Settings
@@ -48,7 +48,9 @@ def result_of_calibration(path: Path | str, folder: Path) -> None:
     origins = read_origins(path)
     model, away = nearest_type(origins)
     if away > _FAR:
-        raise DataError(f"{path}: is of no known type; the nearest, {model}, is {millimetres(away):.0f} mm off (RMS)")
+        raise DataError(
+            f"{path}: is of no known type; the nearest, {model}, is {quantity_text(away, 'mm', '.0f')} off (RMS)"
+        )
     urdf = folder.parent / f"{model}.urdf"
     if not urdf.exists():
         write_file(str(urdf), ur_urdf(nominal_origins(model), model))
@@ -63,8 +65,8 @@ def result_of_calibration(path: Path | str, folder: Path) -> None:
 
 def _stock(urdf: Path) -> Robot:
     """The stock model of a type, with the origins of its moving joints free, and base and tool known."""
-    units = {"sigma": "mm", "sigma_angle": "mrad"}
-    noise = {key: f"{1e3 * step / np.sqrt(12):.4f} {units[key]}" for key, step in zip(units, _STEP, strict=True)}
+    length, angle = (step / np.sqrt(12) for step in _STEP)
+    noise = {"sigma": quantity_text(length, "mm", ".4f"), "sigma_angle": quantity_text(angle, "mrad", ".4f")}
     stock = robot_of(
         urdf,
         motors=JOINTS,

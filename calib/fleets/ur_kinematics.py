@@ -134,7 +134,7 @@ def _require_sound(origins: FloatArray, path: Path | str) -> None:
         tried.append((*nearest_type(turned)[::-1], f"kinematics.{LINKS[k]}.{KEYS[j]}"))
     left, model, where = min(tried)
     if left < _FAR:
-        as_it_is, otherwise = (quantity_text(x, "length", form) for x, form in ((away, ".0f"), (left, ".1f")))
+        as_it_is, otherwise = (quantity_text(x, "mm", form) for x, form in ((away, ".0f"), (left, ".1f")))
         raise UrdfError(
             f"{path}: is {as_it_is} RMS from every known type; with the other sign of {where} it would be a {model},"
             f" {otherwise} from nominal: a sign is lost; extract the calibration again"

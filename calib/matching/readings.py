@@ -23,7 +23,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
-from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.units import PER_SI, from_unit, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.column_maps import likely_maps
@@ -42,7 +42,6 @@ _MIRRORED = 4  # best readings whose columns of positions are tried in other ord
 _MOST = 4  # largest number of readings that fits decide between
 _SHIFTS = (-3, -2, -1, 1, 2, 3)
 _TURN = 4.5 * np.pi  # joint values above this are no radians
-_PER_SI = PER_SI["angle"] | PER_SI["length"]
 _DIRECTIONS = {
     "direct": "the tool in the base",
     "inverse": "the base seen from the tool (inverse poses)",
@@ -94,7 +93,7 @@ class Interpretation:
     @property
     def joint_scales(self) -> FloatArray:
         """Factors from numbers of the file to joint values, (n_joints,) [m or rad per 1]."""
-        return 1.0 / np.array([_PER_SI[unit] for unit in self.joint_units])
+        return np.array([from_unit(1.0, unit) for unit in self.joint_units])
 
     def joints(self, numbers: FloatArray) -> FloatArray:
         """Return joint values (n, n_joints) [m or rad] from the file's numbers (n, n_joints)."""
@@ -105,8 +104,8 @@ class Interpretation:
         """Return T_base_tool, (n, 4, 4) [m], from the file's numbers (n, 3) and (n, k)."""
         T = np.tile(np.eye(4), (len(positions), 1, 1))
         columns = positions if self.twist.positions is None else positions @ self.twist.positions.T
-        T[:, :3, 3] = columns / PER_SI["length"][self.length_unit]
-        T[:, :3, :3] = self.convention.rotation(rotations / PER_SI["angle"][self.angle_unit]).as_matrix()
+        T[:, :3, 3] = from_unit(columns, self.length_unit)
+        T[:, :3, :3] = self.convention.rotation(from_unit(rotations, self.angle_unit)).as_matrix()
         if self.direction == "turned":
             T[:, :3, :3] = T[:, :3, :3].swapaxes(1, 2)
         return np.linalg.inv(T) if self.direction == "inverse" else T
@@ -123,7 +122,7 @@ class Interpretation:
 
         They are at least a controller's own rounding.
         """
-        pose = (1 / PER_SI["length"][self.length_unit], 1 / PER_SI["angle"][self.angle_unit])
+        pose = [from_unit(1.0, unit) for unit in (self.length_unit, self.angle_unit)]
         return np.maximum(pairs.steps, _FINEST / np.append(self.joint_scales, pose))
 
     def words(self) -> str:
@@ -175,7 +174,7 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
     if spread < _STILL:
         raise DataError(
-            f"{pairs.path}: the tool moves by {millimetres(spread):.1f} mm only (RMS,"
+            f"{pairs.path}: the tool moves by {quantity_text(spread, 'mm', '.1f')} only (RMS,"
             f" {count_noun(len(pairs), 'pair')}); add pairs in which all joints turn far"
         )
     limit = _FIT * spread
@@ -187,8 +186,8 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     if best.miss > limit:
         raise DataError(
             f"{pairs.path}: no reading of the columns brings the poses near {robot.path}; the nearest"
-            f" ({best.reading.words()}) leaves {millimetres(best.miss):.0f} mm. Check that it is this robot, that all"
-            " rows have one tool and one base, and that joint values and pose of a row belong together"
+            f" ({best.reading.words()}) leaves {quantity_text(best.miss, 'mm', '.0f')}. Check that it is this robot,"
+            " that all rows have one tool and one base, and that joint values and pose of a row belong together"
         )
     alike: list[PlacedInterpretation] = []
     for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), one.miss)):
@@ -266,7 +265,7 @@ def _plain(robot: Robot, pairs: Pairs) -> list[Interpretation]:
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
     points = robot.forward(robot.sample(50, 0), robot.target_names[0])[:, :3, 3]
     reach, size = (float(np.median(np.linalg.norm(xyz, axis=1))) for xyz in (points, pairs.positions))
-    length = min(("mm", "m"), key=lambda unit: abs(np.log(max(size, _SAME) / PER_SI["length"][unit] / reach)))
+    length = min(("mm", "m"), key=lambda unit: abs(np.log(from_unit(max(size, _SAME), unit) / reach)))
     first = next(each for each in CONVENTIONS if each.width == pairs.rotations.shape[1])
     units = [{"angle": unit, "length": length} for unit in ("deg", "rad")]
     ways = [tuple(usual[each] for each in dimensions) for usual in units]

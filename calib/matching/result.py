@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from calib.core.base.files import write_files
-from calib.core.base.units import error_scale, millimetres
-from calib.core.base.words import as_data, count_noun, plain_text
+from calib.core.base.units import in_unit, millimetres, quantity_text
+from calib.core.base.words import as_data, count_noun, json_file, plain_text
 from calib.core.judging.verdict import JudgedFit
 from calib.core.results.results import save
 from calib.core.robots.file_formats import formats, robot_for
@@ -65,7 +64,7 @@ class Match:
                 f" pair to {_mm(agreed.left_out)} (RMS), and the file's digits explain only"
                 f" {_mm(agreed.rounding_distance)}; {self._terms_tried()}"
             )
-        elsewhere = f"{_mm(agreed.claim)} and {agreed.turn_claim * error_scale('angle'):.2g} mrad at 95 % of all poses"
+        elsewhere = f"{_mm(agreed.claim)} and {quantity_text(agreed.turn_claim, 'mrad', '.2g')} at 95 % of all poses"
         sentence = f"agrees to {_mm(agreed.rms)} (RMS), the rounding of the file; at other poses within {elsewhere}"
         if agreed.claim > _OF_DIGITS * agreed.rounding_distance:
             return f"{sentence}: these pairs leave some joints open; add pairs in which all joints turn far"
@@ -102,7 +101,7 @@ class Match:
             "left_out_in_turn": millimetres(agreed.left_out),
             "digits_allow": millimetres(agreed.rounding_distance),
             "claim": millimetres(agreed.claim) if agreed.to_the_digits else None,
-            "claim_angle": agreed.turn_claim * error_scale("angle") if agreed.to_the_digits else None,
+            "claim_angle": in_unit(agreed.turn_claim, "mrad") if agreed.to_the_digits else None,
         }
         return as_data(
             {
@@ -126,7 +125,7 @@ class Match:
             force: Whether to replace files that this program did not write.
         """
         save(self.fit, folder, force=force or (self.grade != "FAIL"))
-        files = {Path(folder) / "match.json": (json.dumps(self.to_dict(), indent=1) + "\n").encode()}
+        files = {Path(folder) / "match.json": json_file(self.to_dict())}
         if self.grade != "FAIL" or force:
             for name, file in FILES.items():
                 each = formats().get(name)
@@ -138,4 +137,4 @@ class Match:
 
 
 def _mm(length: float) -> str:
-    return f"{millimetres(length):.2g} mm"
+    return quantity_text(length, "mm", ".2g")

@@ -11,7 +11,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_folder
-from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import (
     Output,
@@ -154,14 +154,14 @@ def _start(path: str | None, robot: Robot) -> FloatArray | None:
 def _report(route: Route) -> str:
     corners = route.corners()
     around = sum(len(stop.corners) > 0 for stop in route.stops)
-    travel = PER_SI["angle"]["deg"] * float(np.sum(np.max(np.abs(np.diff(corners, axis=0)), axis=1)))
-    lines = [
-        f"{count_noun(len(route.stops), 'stop')}; {around} reached on a way around obstacles; travel {travel:.0f} deg"
-    ]
+    travel = quantity_text(np.sum(np.max(np.abs(np.diff(corners, axis=0)), axis=1)), "deg", ".0f")
+    lines = [f"{count_noun(len(route.stops), 'stop')}; {around} reached on a way around obstacles; travel {travel}"]
     nearest = min(route.stops, key=lambda stop: min(stop.clearance, stop.path_clearance))
     least = min(nearest.clearance, nearest.path_clearance)
     if np.isfinite(least):
-        lines.append(f"Smallest clearance {millimetres(least):.1f} mm, at stop {nearest.name} or on the way there")
+        lines.append(
+            f"Smallest clearance {quantity_text(least, 'mm', '.1f')}, at stop {nearest.name} or on the way there"
+        )
     if route.left_out:
         named = listing([f"{name} ({why})" for name, why in route.left_out.items()], shown=8)
         lines.append(f"Left out, {count_noun(len(route.left_out), 'pose')}: {named}")

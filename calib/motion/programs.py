@@ -17,12 +17,11 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
-from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.units import in_unit, millimetres
 from calib.core.data.measurement_columns import header, pose_columns
 from calib.core.data.table_writing import format_table
 from calib.motion.route import Route, Stop
 
-_DEGREES = PER_SI["angle"]["deg"]
 _ROBOT_AXES = 6
 THIRD_JOINT = ("j3", "j2+j3")
 """The third joint of a robot file on a FANUC controller, whose J3 counts from the horizontal: J3, or J2 + J3."""
@@ -78,7 +77,7 @@ class _Words:
         wait: A dwell, with its time [s].
         output: Setting of an output, with its number and value.
         states: Values of an output on and off.
-        scale: One radian in joint values.
+        unit: Unit of joint values.
     """
 
     begin: str
@@ -89,11 +88,11 @@ class _Words:
     wait: str
     output: str
     states: tuple[str, str]
-    scale: float = _DEGREES
+    unit: str = "deg"
 
     def joints(self, values: FloatArray) -> str:
         """Return joint values (n,) [rad] as text of a move."""
-        return ", ".join(self.joint.format(k=k, value=v + 0.0) for k, v in enumerate(self.scale * values, 1))
+        return ", ".join(self.joint.format(k=k, value=v + 0.0) for k, v in enumerate(in_unit(values, self.unit), 1))
 
     def text(self, route: Route, motion: Motion) -> str:
         """Return a route as a program."""
@@ -139,7 +138,7 @@ def _question(route: Route, start: FloatArray | None = None) -> str:
 
     `start` are the route's first joint values as the controller counts them, if different [rad].
     """
-    values = ", ".join(f"{value:.1f}" for value in _DEGREES * (route.start if start is None else start))
+    values = ", ".join(f"{value:.1f}" for value in in_unit(route.start if start is None else start, "deg"))
     return (
         f"Robot must stand at {values} deg. Nothing moves before you confirm."
         f" The first stop is {_plain(route.stops[0].name)}"
@@ -170,7 +169,7 @@ _URSCRIPT = _Words(
     wait="  sleep({:g})",
     output="  set_standard_digital_out({}, {})",
     states=("True", "False"),
-    scale=1.0,
+    unit="rad",
 )
 _RAPID = _Words(
     begin='MODULE {name}\n  PROC main()\n    TPWrite "{question:.80}";\n    ! {question}\n    Stop;',

@@ -174,7 +174,7 @@ def _excess_of_limits(robot: Robot, q: FloatArray) -> str:
         return ""
     name, limits = robot.joint_names[outside[0]], robot.joint_limits[outside[0]].tolist()
     value, low, high = (
-        quantity_text(each, robot.mechanism.dimensions[name], ".4g", DISPLAY_UNIT) for each in (q[outside[0]], *limits)
+        quantity_text(each, DISPLAY_UNIT[robot.mechanism.dimensions[name]], ".4g") for each in (q[outside[0]], *limits)
     )
     return f"{name} = {value}, beyond its limits ({low} to {high})"
 

@@ -23,6 +23,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import NotConvergedError, NotIdentifiableError
+from calib.core.base.units import quantity_text
 from calib.core.numerics import linalg
 from calib.photographs.intervals import arm_twists, intervals
 from calib.photographs.scene import (
@@ -161,8 +162,8 @@ def require_determined(a: FloatArray, scene: BoardScene) -> None:
     axes = turning(scene.tool)
     raise NotIdentifiableError(
         f"these {len(scene)} images do not determine where camera and board are: the tool turned by"
-        f" {np.rad2deg(axes[0]):.1f} deg about its main axis and {np.rad2deg(axes[1]):.1f} deg about another one; turn"
-        " it about two axes or more, by 20 deg or more"
+        f" {quantity_text(axes[0], 'deg', '.1f')} about its main axis and {quantity_text(axes[1], 'deg', '.1f')} about"
+        " another one; turn it about two axes or more, by 20 deg or more"
     )
 
 

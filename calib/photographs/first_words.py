@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.instruments.camera import NAMES
 from calib.core.robots.robot import Robot
 from calib.photographs.camera_files import read_camera
@@ -49,8 +49,8 @@ def camera_words(
     words = {
         "board_file": json.dumps(os.path.relpath(path.resolve(), out.resolve().parent), ensure_ascii=False),
         "board_text": str(described),
-        "board_xyz": f"[{', '.join(f'{millimetres(value):.0f} mm' for value in xyz)}]",
-        "board_rpy": f"[{', '.join(f'{value:.0f} deg' for value in np.rad2deg(rpy))}]",
+        "board_xyz": f"[{', '.join(quantity_text(value, 'mm', '.0f') for value in xyz)}]",
+        "board_rpy": f"[{', '.join(quantity_text(value, 'deg', '.0f') for value in rpy)}]",
         "image": str(list(image)),
         "intrinsics": _yaml(numbers),
         "unknown_intrinsics": _yaml(free),
@@ -59,7 +59,7 @@ def camera_words(
         return {}, words
     values = described.model_dump(exclude_none=True, exclude_defaults=True)
     lines = [
-        f"{key}: {millimetres(value):.9g} mm" if isinstance(value, float) else f"{key}: {value}"
+        f"{key}: {quantity_text(value, 'mm', '.9g') if isinstance(value, float) else value}"
         for key, value in values.items()
     ]
     comment = "# A printed board: measure what you have, or print this one (calib board).\n"

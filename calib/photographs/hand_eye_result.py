@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
@@ -11,7 +10,8 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.contributions import Contributions, Uncertainty, names_of
-from calib.core.base.words import as_data, count_noun, listing
+from calib.core.base.units import millimetres, quantity_text
+from calib.core.base.words import count_noun, json_file, listing
 from calib.core.instruments.camera import NAMES
 from calib.photographs.estimation import LITTLE_TURN, rms, turning
 from calib.photographs.hand_eye import HandEye
@@ -21,7 +21,6 @@ from calib.photographs.scene import SIDES, Mount
 FEW = 10  # images; a result of fewer gets CHECK
 _MANY = 0.1  # the photographs are wrong if more than this part of the points was left out
 _ROBOT_SHARE = 0.5
-_MM = 1e3
 WIDE = 0.05
 """The pose of camera or board counts as unknown if half of a 95 % interval is wider than this: that of its angle [rad],
 or that of its position, as a part of the distance between camera and board. If both are equal, they move what the
@@ -78,8 +77,9 @@ def judge(result: HandEye) -> HandEyeJudgement:
     reasons = [mistake.text for mistake in result.mistakes if not mistake.whole]
     for image in result.outlying_images:
         reasons.append(
-            f"image {image.name} is off by {image.rms_px:.0f} px, as if the tool were {_MM * image.shift_m:.1f} mm"
-            f" and {np.rad2deg(image.turn_rad):.2f} deg elsewhere; it was left out: look at it, and at its pose"
+            f"image {image.name} is off by {image.rms_px:.0f} px, as if the tool were"
+            f" {quantity_text(image.shift_m, 'mm', '.1f')} and {quantity_text(image.turn_rad, 'deg', '.2f')} elsewhere;"
+            " it was left out: look at it, and at its pose"
         )
     gone, points = len(result.points_off), len(result.points_off) + len(scene.pixels)
     if gone > _MANY * points:
@@ -93,8 +93,8 @@ def judge(result: HandEye) -> HandEyeJudgement:
         advice.append(f"take {FEW} to 20 images")
     if axes[1] < LITTLE_TURN:
         reasons.append(
-            f"the tool turned by {np.rad2deg(axes[0]):.0f} deg about one axis, and by {np.rad2deg(axes[1]):.0f}"
-            f" deg about others: lengths along the first axis are poorly known"
+            f"the tool turned by {quantity_text(axes[0], 'deg', '.0f')} about one axis, and by"
+            f" {quantity_text(axes[1], 'deg', '.0f')} about others: lengths along the first axis are poorly known"
         )
         advice.append("tilt the tool by 20 to 40 deg about two more axes")
     covered = image_coverage(scene.pixels, scene.size)
@@ -105,9 +105,9 @@ def judge(result: HandEye) -> HandEyeJudgement:
     for name, (shift, turn) in result.uncertainty().items():
         if not max(shift / result.distance, turn) < WIDE:
             reasons.append(
-                f"the place of the {name} is known to only ± {_MM * shift:.0f} mm and ± {np.rad2deg(turn):.1f} deg"
-                f" (95 %). Use this calibration only for what the camera sees at poses like these, about"
-                f" {_MM * result.distance:.0f} mm away"
+                f"the place of the {name} is known to only ± {quantity_text(shift, 'mm', '.0f')} and ±"
+                f" {quantity_text(turn, 'deg', '.1f')} (95 %). Use this calibration only for what the camera sees at"
+                f" poses like these, about {quantity_text(result.distance, 'mm', '.0f')} away"
             )
             advice.append("turn the tool further, about two axes or more, at more poses; or calibrate the kinematics")
     used, left = rms(result.board), rms(result.left_out.board)
@@ -143,14 +143,15 @@ def report(result: HandEye, frames: Frames) -> str:
     lines += judgement.lines()
     if judgement.grade != "FAIL":
         lines.append(
-            f"Points of new images like these are {_MM * rms(result.left_out.board):.3f} mm off on the board,"
-            f" {rms(result.left_out.pixels):.3f} px in the image (RMS of images left out in turn). With 95 %"
-            f" probability, the RMS of as many new images is below {_MM * result.limit:.3f} mm"
+            f"Points of new images like these are {quantity_text(rms(result.left_out.board), 'mm', '.3f')} off on the"
+            f" board, {rms(result.left_out.pixels):.3f} px in the image (RMS of images left out in turn). With 95 %"
+            f" probability, the RMS of as many new images is below {quantity_text(result.limit, 'mm', '.3f')}"
         )
     errors, by_image = np.linalg.norm(result.board, axis=1), result.rms_by_image(result.pixels)
     lines.append(
-        f"Images used: {rms(result.pixels):.3f} px RMS; on the board {_MM * rms(result.board):.3f} mm RMS, mean"
-        f" {_MM * errors.mean():.3f} mm, largest {_MM * errors.max():.3f} mm ({len(scene.pixels)} points)"
+        f"Images used: {rms(result.pixels):.3f} px RMS; on the board {quantity_text(rms(result.board), 'mm', '.3f')}"
+        f" RMS, mean {quantity_text(errors.mean(), 'mm', '.3f')}, largest {quantity_text(errors.max(), 'mm', '.3f')}"
+        f" ({len(scene.pixels)} points)"
     )
     if result.points_off:
         named = [f"{p.image} at {p.u:.0f}, {p.v:.0f} px ({p.distance_px:.1f} px off)" for p in result.points_off]
@@ -175,10 +176,11 @@ def report(result: HandEye, frames: Frames) -> str:
             numbers.append(f"{NAMES[k]} {fitted.placed.intrinsics[k]:.{digits}f} ± {std:.{digits}f}")
         lines.append(f"  {', '.join(numbers)}")
     lines += [
-        f"{title}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
-        f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm"
-        f" along and ± {np.rad2deg(half[key][1]):.3f} deg about the worst axis,"
-        " including errors of the robot that depend on its pose"
+        f"{title}: x {millimetres(pose['x']):.3f} y {millimetres(pose['y']):.3f} z"
+        f" {quantity_text(pose['z'], 'mm', '.3f')},"
+        f" quaternion (x y z w) {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ±"
+        f" {quantity_text(half[key][0], 'mm', '.2f')} along and ± {quantity_text(half[key][1], 'deg', '.3f')} about the"
+        " worst axis, including errors of the robot that depend on its pose"
         for title, key, pose in (
             (f"Camera in {frames.parents(scene.mount)[0]}", "camera", transform(fitted.placed.camera)),
             (f"Board in {frames.parents(scene.mount)[1]}", "board", transform(fitted.placed.board)),
@@ -194,10 +196,10 @@ def _shares(result: HandEye, usable: bool) -> str:
     if not np.isfinite(alone):
         return "The error of the camera alone is not known: images show fewer than six points"
     share = max(0.0, 1.0 - (alone / all_) ** 2)
-    rest = _MM * rms(result.board) * np.sqrt(share)
+    rest = quantity_text(rms(result.board) * np.sqrt(share), "mm", ".3f")
     text = (
         f"The camera alone (board placed freely in each image) leaves {alone:.3f} px. The rest comes from the"
-        f" robot's poses: {100 * share:.0f} % of the squared error, {all_ * np.sqrt(share):.3f} px or {rest:.3f} mm"
+        f" robot's poses: {100 * share:.0f} % of the squared error, {all_ * np.sqrt(share):.3f} px or {rest}"
     )
     if usable and share > _ROBOT_SHARE:
         text += "; calibrating the robot with joint values (calib init --measure camera) can remove part of that"
@@ -244,17 +246,12 @@ def _place(parent: str, child: str, pose: FloatArray, half: tuple[float, float])
     }  # fmt: skip
 
 
-def as_json(data: Mapping[str, object]) -> bytes:
-    """Return data as the content of a JSON file."""
-    return (json.dumps(as_data(data), indent=1, allow_nan=False) + "\n").encode()
-
-
 def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
     """Return the transform of the camera as files of other programs, by name."""
     intrinsics = result.fitted.placed.intrinsics
     width, height = result.scene.size
     return {
-        "hand_eye.json": as_json(content(result, frames)),
+        "hand_eye.json": json_file(content(result, frames)),
         **transform_files(result.fitted.placed.camera, result.scene.mount, frames),
         "camera_info.yaml": (
             f"image_width: {width}\nimage_height: {height}\ncamera_name: camera\n"

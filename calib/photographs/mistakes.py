@@ -33,6 +33,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError
+from calib.core.base.units import quantity_text
 from calib.core.instruments.camera import NAMES
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import shifts_without_block
@@ -288,8 +289,8 @@ def _check_move(scene: BoardScene, fitted: HandEyeEstimate) -> Mistake | None:
         return None
     return Mistake(
         "moved",
-        f"the {which} moved before image {scene.names[k]}, by {1e3 * moved:.1f} mm and"
-        f" {np.rad2deg(turned):.2f} deg:"
+        f"the {which} moved before image {scene.names[k]}, by {quantity_text(moved, 'mm', '.1f')} and"
+        f" {quantity_text(turned, 'deg', '.2f')}:"
         " fix it, and take the images again (or calibrate twice: with the images before, and with those after)",
     )
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.core.base.errors import DataError, DescriptionError, InputError, nearest
+from calib.core.base.errors import DataError, DescriptionError, InputError, nearest, require_package
 from calib.core.base.files import read_bytes
 from calib.core.base.version import DISTRIBUTION
 
@@ -23,13 +22,8 @@ def opencv() -> Any:
     Raises:
         InputError: OpenCV is not installed, or too old.
     """
-    try:
-        cv2 = import_module("cv2")
-    except ImportError:
-        raise InputError(
-            "OpenCV, which finds boards in images and places them, is not installed: pip install"
-            f" opencv-python-headless (or {DISTRIBUTION}[camera])"
-        ) from None
+    missing = "OpenCV, which finds boards in images and places them, is not installed: pip install"
+    cv2 = require_package("cv2", f"{missing} opencv-python-headless (or {DISTRIBUTION}[camera])")
     if tuple(map(int, cv2.__version__.split(".")[:2])) < (4, 14) or not hasattr(cv2, "aruco"):
         raise InputError(
             f"OpenCV {cv2.__version__} is too old (it finds corners of ChArUco boards half a pixel off): pip install"

@@ -31,7 +31,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.contributions import Contributions, Uncertainty
 from calib.core.base.errors import DataError
 from calib.core.base.sections import COMPONENTS
-from calib.core.base.units import millimetres, quantity_text
+from calib.core.base.units import in_unit, millimetres, quantity_text
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.in_memory import as_measurements
 from calib.core.fitting.settings import Settings
@@ -222,9 +222,9 @@ def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
 def _change_in_words(change: FloatArray) -> str:
     """A change of camera and marker, (12,) [m, rad], in words, scaled so that its largest part is 1 mm or 1 deg."""
     names = [f"{name} {part}" for name in ("camera", "marker") for part in COMPONENTS]
-    units = np.tile(np.repeat([1e3, np.rad2deg(1.0)], 3), 2)
-    sizes = change * units / np.max(np.abs(change * units))
-    named = zip(names, sizes, np.tile(np.repeat(["mm", "deg"], 3), 2), strict=True)
+    units = 2 * (3 * ("mm",) + 3 * ("deg",))
+    sizes = np.array([in_unit(value, unit) for value, unit in zip(change, units, strict=True)])
+    named = zip(names, sizes / np.max(np.abs(sizes)), units, strict=True)
     return ", ".join(f"{name} {size:+.3g} {unit}" for name, size, unit in named if abs(size) > _NAMED)
 
 
@@ -278,11 +278,12 @@ def judge_pairs(result: PosePairs) -> HandEyeJudgement:
 def report_pairs(result: PosePairs, frames: Frames) -> str:
     """Return the report of a calibration in words."""
     judgement, above = judge_pairs(result), frames.parents(result.mount)
-    off = [1e3 * np.sqrt(np.mean(np.sum(result.errors[:, part] ** 2, axis=1))) for part in (slice(3), slice(3, 6))]
+    off, turned = (np.sqrt(np.mean(np.sum(part**2, axis=1))) for part in np.split(result.errors, 2, axis=1))
     lines = [
         f"Hand-eye calibration of {len(result.names)} pairs of poses: camera {SIDES[result.mount]}",
         *judgement.lines(),
-        f"Residuals of the marker in the camera: {off[0]:.3f} mm and {off[1]:.3f} mrad RMS",
+        f"Residuals of the marker in the camera: {quantity_text(off, 'mm', '.3f')} and"
+        f" {quantity_text(turned, 'mrad', '.3f')} RMS",
         _pose_in_words(f"Camera in {above[0]}", result.camera),
         _pose_in_words(f"Marker in {above[1]}", result.marker),
     ]
@@ -296,13 +297,13 @@ def _pose_in_words(title: str, found: FoundPose) -> str:
     parts = []
     pose = transform(found.pose)
     for k, name in enumerate("xyz"):
-        text = f"{millimetres(pose[name]):.3f} ± {quantity_text(found.half[k], 'length', '.3f')}"
+        text = f"{millimetres(pose[name]):.3f} ± {quantity_text(found.half[k], 'mm', '.3f')}"
         parts.append(f"{name} {'not determined' if found.open[k] else text}")
     about = [name for name, lost in zip("xyz", found.open[3:], strict=True) if lost]
     if about:
         return f"{title}: {', '.join(parts)}; its rotation about its {', '.join(about)} is not determined (95 %)"
     quaternion = " ".join(f"{pose[key]:.6f}" for key in ("qx", "qy", "qz", "qw"))
-    halves = ", ".join(f"± {half:.3f}" for half in np.rad2deg(found.half[3:]))
+    halves = ", ".join(f"± {half:.3f}" for half in in_unit(found.half[3:], "deg"))
     return f"{title}: {', '.join(parts)}, quaternion (x y z w) {quaternion}, {halves} deg about its x, y, z (95 %)"
 
 

@@ -20,6 +20,7 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import InputError
+from calib.core.base.units import millimetres
 from calib.core.instruments.board import Board
 from calib.photographs.detection import opencv_board
 from calib.photographs.opencv import dictionary
@@ -30,7 +31,6 @@ PAPERS = {"a4": (0.210, 0.297), "a3": (0.297, 0.420), "a2": (0.420, 0.594), "let
 _RULER = 0.1  # length of the printed ruler [m]
 _FOOT = 0.022  # m below the board for ruler and words
 _MARGIN = 0.008
-_MM = 1e3
 _INCH = 0.0254
 _SMALL_DOT, _LARGE_DOT = 0.25, 0.38  # radius over the spacing of a square grid
 _DOT = 0.5  # radius of a dot over the spacing
@@ -150,7 +150,7 @@ def page(board: Board, form: str, paper: str | None = None) -> bytes:
 
 def _with_size_in_millimetres(svg: bytes, sheet: FloatArray) -> bytes:
     """The page with its size in mm, a unit that every program knows, not in points."""
-    size = 'width="{:g}mm" height="{:g}mm"'.format(*(_MM * sheet))
+    size = 'width="{:g}mm" height="{:g}mm"'.format(*millimetres(sheet))
     return re.sub(rb'width="[0-9.]+pt" height="[0-9.]+pt"', size.encode(), svg, count=1)
 
 
@@ -158,7 +158,7 @@ def _sheet(paper: str, needed: FloatArray, board: Board) -> FloatArray:
     for size in (PAPERS[paper], PAPERS[paper][::-1]):
         if np.all(needed <= size):
             return np.array(size)
-    width, height = _MM * needed
+    width, height = millimetres(needed)
     raise InputError(
         f"the {board.kind} needs a page of {width:.0f} x {height:.0f} mm, and {paper.upper()} is smaller; take larger"
         " paper, smaller or fewer squares"

@@ -8,7 +8,6 @@ nothing hides the board.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +16,8 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
+from calib.core.base.units import in_unit, millimetres
+from calib.core.base.words import json_file
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.board import Board
 from calib.core.instruments.camera import project, rays
@@ -133,9 +134,12 @@ def example(board: Board, count: int, generator: np.random.Generator) -> dict[st
         files[f"shot_{k + 1:02d}.png"] = encode(photographer.photograph(T_camera_board, generator))
         tool = T_base_board @ np.linalg.inv(T_camera_board) @ np.linalg.inv(T_tool_camera)
         error = 2e-4 * generator.standard_normal(6)
-        true_tool = tool @ _pose(tuple(error[:3]), tuple(np.rad2deg(error[3:])))
+        true_tool = tool @ _pose(tuple(error[:3]), tuple(in_unit(error[3:], "deg")))
         quaternion = scipy.spatial.transform.Rotation.from_matrix(true_tool[:3, :3]).as_quat(canonical=True)
-        numbers = [*(f"{1e3 * value:.4f}" for value in true_tool[:3, 3]), *(f"{value:.7f}" for value in quaternion)]
+        numbers = [
+            *(f"{value:.4f}" for value in millimetres(true_tool[:3, 3])),
+            *(f"{value:.7f}" for value in quaternion),
+        ]
         lines.append(",".join([f"shot_{k + 1:02d}.png", *numbers]))
     files["poses.csv"] = ("# simulated: a camera on the tool\n" + "\n".join(lines) + "\n").encode()
     truth = {
@@ -144,7 +148,7 @@ def example(board: Board, count: int, generator: np.random.Generator) -> dict[st
         "board_in_base": T_base_board.tolist(),
         "intrinsics": intrinsics.tolist(),
     }
-    files["truth.json"] = (json.dumps(truth, indent=1) + "\n").encode()
+    files["truth.json"] = json_file(truth)
     return files
 
 

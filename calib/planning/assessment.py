@@ -22,7 +22,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.core.base.parameter import Parameter
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import millimetres, sigma_in_si
+from calib.core.base.units import quantity_text, sigma_in_si
 from calib.core.base.words import count_noun, data_frame, html_with_title, listing
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurement_columns import rank_in_visit
@@ -119,7 +119,7 @@ class Assessment(ReadOnlyArrays):
     left_out: tuple[str, ...]
 
     def __repr__(self) -> str:
-        error = f"predicted error {millimetres(self.accuracy.rms):.3g} mm RMS"
+        error = f"predicted error {quantity_text(self.accuracy.rms, 'mm')} RMS"
         return (
             f"<Assessment of {self.n_poses} poses: {self.determination.free.rank} of {int(np.sum(self.free))} free"
             f" parameters determined, {error if self.accuracy.maximum else 'none of which moves a position'}>"

@@ -10,7 +10,7 @@ from typing import Any
 from rich.table import Table
 
 from calib.core.base.parameter import Parameter
-from calib.core.base.units import millimetres
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import as_data, count_noun, listing, plain_text, sentence, text_table
 from calib.core.commands.next_steps import NOISE, words_of
 from calib.core.data.measurements import Measurements
@@ -77,7 +77,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
 
 
 def _heading(a: Assessment, source: str) -> str:
-    noise = "" if a.sigma == WHITENED else f"; noise {millimetres(a.sigma):g} mm per axis"
+    noise = "" if a.sigma == WHITENED else f"; noise {quantity_text(a.sigma, 'mm', 'g')} per axis"
     noise += " (assumed: state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
     return f"{count_noun(a.n_poses, 'pose')} ({source}), {a.n_rows} measured values{noise}"
 
@@ -174,11 +174,11 @@ def _counts(a: Assessment) -> Table:
 def _accuracy(a: Assessment) -> list[str]:
     if not a.accuracy.maximum:
         return ["No free parameter moves a position. --verbose prints how well each parameter is determined."]
-    rms, largest = _pair(a.accuracy)
     if math.isfinite(a.accuracy.rms):
+        rms, largest = (quantity_text(value, "mm", ".4f") for value in (a.accuracy.rms, a.accuracy.maximum))
         priors = " and the expected errors of the parameters" if any(p.prior for p in a.free_parameters) else ""
         lines = [
-            f"With all {a.n_poses}: position error {rms} mm RMS, {largest} mm at worst, from measurement noise{priors}"
+            f"With all {a.n_poses}: position error {rms} RMS, {largest} at worst, from measurement noise{priors}"
             " alone. It does not include what the model leaves out (backlash, bending), which more poses do not reduce."
         ]
     else:
@@ -187,7 +187,7 @@ def _accuracy(a: Assessment) -> list[str]:
     if many and a.rms_without_common < _MOSTLY_COMMON * a.accuracy.rms:
         lines.append(
             "Most of this error moves all positions as one body, as an unknown place of the base does. Without that"
-            f" part, positions are known to {millimetres(a.rms_without_common):.4f} mm RMS."
+            f" part, positions are known to {quantity_text(a.rms_without_common, 'mm', '.4f')} RMS."
         )
     return lines + (
         [f"Not counted: {listing(a.left_out)} (only instruments at unknown places see it)."] if a.left_out else []

@@ -29,7 +29,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import CalibrationError
-from calib.core.base.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.core.base.units import DISPLAY_UNIT, in_unit, millimetres, quantity_text
 from calib.core.base.words import as_data, count_noun
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fit import errors_on
@@ -142,7 +142,7 @@ class Progress(ReadOnlyArrays):
                 f"predicted error  {_format_error(self.predicted)} over {candidates}{self._lowered()}",
                 f"unseen error     {self._unseen_shown()}",
             ]
-        return [*lines, f"goal {millimetres(self.goal):.4g} mm: {self._verdict()}"]
+        return [*lines, f"goal {quantity_text(self.goal, 'mm', '.4g')}: {self._verdict()}"]
 
     def to_dict(self) -> dict[str, object]:
         """Return the progress as data for JSON, in mm and degrees; unknown numbers are None."""
@@ -185,7 +185,7 @@ class Progress(ReadOnlyArrays):
             scatter = float(np.sqrt(3.0)) * noise.sigma
             # the lower 95 % limit of the scatter
             if scatter * np.sqrt(noise.freedom / scipy.special.chdtri(noise.freedom, 0.025)) > self.goal:
-                shown = f"{millimetres(scatter):.3g} mm RMS"
+                shown = f"{quantity_text(scatter, 'mm')} RMS"
                 return f"not yet; readings that scatter by {shown} about the model can never show that the goal is met"
         return "not yet"
 
@@ -193,7 +193,7 @@ class Progress(ReadOnlyArrays):
         """Clause on the part that more poses lower, where errors of joints are another."""
         if self.lowered == self.predicted:
             return ""
-        return f"; more poses lower {millimetres(self.lowered.value):.3g} mm of it"
+        return f"; more poses lower {quantity_text(self.lowered.value, 'mm')} of it"
 
     def _unseen_shown(self) -> str:
         if not math.isfinite(self.unseen.high95):
@@ -219,12 +219,12 @@ class Progress(ReadOnlyArrays):
     def _joints(self, following: NextPose) -> list[tuple[str, float, str]]:
         named = zip(self.robot.joint_names, following.joints, strict=True)
         stated = ((name, value, self.robot.mechanism.dimensions[name]) for name, value in named)
-        return [(name, float(value) * display_scale(kind), DISPLAY_UNIT[kind]) for name, value, kind in stated]
+        return [(name, in_unit(float(value), DISPLAY_UNIT[kind]), DISPLAY_UNIT[kind]) for name, value, kind in stated]
 
 
 def _format_error(error: RootMeanSquare) -> str:
-    value, low, high = (f"{millimetres(length):.3g}" for length in (error.value, error.low95, error.high95))
-    return f"{value} mm RMS (95 %: {low} to {high})"
+    low, high = (f"{millimetres(length):.3g}" for length in (error.low95, error.high95))
+    return f"{quantity_text(error.value, 'mm')} RMS (95 %: {low} to {high})"
 
 
 def _as_data(error: RootMeanSquare) -> dict[str, object]:

@@ -36,7 +36,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray, random_numbers
 from calib.core.base.errors import InputError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import millimetres, sigma_in_si
+from calib.core.base.units import quantity_text, sigma_in_si
 from calib.core.base.workers import Progress, Workers, results_in_order
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.robots.loading import RobotLike, as_robot
@@ -244,7 +244,7 @@ def _run(
     if fewest < setting.count:
         raise InputError(
             f"only {fewest} of {setting.count} poses can be chosen if they keep"
-            f" {millimetres(setting.space.distance):g} mm from each other; give a smaller distance or count"
+            f" {quantity_text(setting.space.distance, 'mm', 'g')} from each other; give a smaller distance or count"
         )
     runs = []
     search = partial(_search, searched.problem, setting.index, searched.space)

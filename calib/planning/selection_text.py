@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from rich.table import Table as Printed
 
-from calib.core.base.units import millimetres
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import as_data, count_noun, plain_text, text_table
 from calib.core.commands.next_steps import NOISE, words_of
 from calib.core.data.instrument_cells import columns_in
@@ -36,7 +36,6 @@ def text_report(selection: Selection, poses: Poses, width: int = 120) -> str:
 def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
     """Return the result as data for JSON; the task index in mm, unknown and infinite numbers None."""
     s = selection
-    certified = s.efficiency is not None
     return as_data(
         {
             "index": s.index,
@@ -50,7 +49,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
             "measured_only": None if s.measured_only is None else _values(s.measured_only),
             "efficiency": s.efficiency,
             "efficiency_percent": 100 * s.efficiency if s.efficiency is not None else None,
-            "bound": _in_table_unit(s.index, s.bound) if certified else None,
+            "bound": None if s.bound is None else _in_table_unit(s.index, s.bound),
             "runs": [_run(run, s, poses) for run in s.runs],
             "travel_joint_ranges": {"candidate_order": s.travel[0], "this_order": s.travel[1]},
             "rank": s.rank.rank,
@@ -128,12 +127,12 @@ def _lines_of(table: Table, poses: Sequence[tuple[int, str]]) -> dict[str, list[
 def _summary(s: Selection, poses: Poses) -> list[str]:
     lines = [f"{_count_sentence(s, poses)}, chosen by {s.index}"]
     if s.efficiency is not None and s.bound is not None:
-        reached, bound = (f"{_in_table_unit(s.index, value):.5g}" for value in (s.after[s.index], s.bound))
-        least = math.floor(1000 * min(s.efficiency, 1.0)) / 10
+        reached, least = s.after[s.index], math.floor(1000 * min(s.efficiency, 1.0)) / 10
         lines.append(
-            f"Error over the task {reached} mm; no choice of {len(s)} candidates goes below {bound} mm (certified)"
+            f"Error over the task {quantity_text(reached, 'mm', '.5g')}; no choice of {len(s)} candidates goes below"
+            f" {quantity_text(s.bound, 'mm', '.5g')} (certified)"
             if s.index == TASK
-            else f"{s.index} = {reached}: at least {least:.1f} % of the best possible choice (certified)"
+            else f"{s.index} = {reached:.5g}: at least {least:.1f} % of the best possible choice (certified)"
         )
     if s.index not in CERTIFIED and len(s.runs) == 1 and len(s) < len(poses):
         lines.append(f"No bound is known for {s.index}, and one start was tried: --starts 5 may find better")
@@ -163,7 +162,7 @@ def _indices(s: Selection) -> Printed:
 
 
 def _remarks(s: Selection) -> list[str]:
-    lines = [f"Targets of any two poses are at least {millimetres(s.distance):.3g} mm apart"] if s.distance else []
+    lines = [f"Targets of any two poses are at least {quantity_text(s.distance, 'mm')} apart"] if s.distance else []
     lines += [
         f"Order of measurement: travel {s.travel[1]:.1f} joint ranges, {s.travel[0]:.1f} in the candidates' order"
     ]
@@ -215,14 +214,12 @@ def _candidate(s: Selection, poses: Poses, number: int) -> str:
     return f"{poses.names[pose]} ({s.groups[group]})" if s.groups else poses.names[pose]
 
 
-def _values(values: dict[str, float]) -> dict[str, float | None]:
+def _values(values: dict[str, float]) -> dict[str, float]:
     return {key: _in_table_unit(key, value) for key, value in values.items()}
 
 
-def _in_table_unit(index: str, value: float | None) -> float:
+def _in_table_unit(index: str, value: float) -> float:
     """An index in its printed unit: mm for the task index."""
-    if value is None:
-        return math.nan
     return millimetres(value) if index == TASK else value
 
 

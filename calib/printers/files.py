@@ -21,19 +21,18 @@ import numpy as np
 
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.files import read_text
-from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.units import from_unit, millimetres, quantity_text
 from calib.core.data.table_writing import format_table
 from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, tower_angles
 from calib.printers.rows import PrinterFile, PrinterReading, require_plausible, require_steps
 
-_MM, _DEG = 1 / PER_SI["length"]["mm"], 1 / PER_SI["angle"]["deg"]
 _SECTION = re.compile(r"\[([^\]]+)\]\s*$")
 _ENTRY = re.compile(r"([\w ]+?)\s*[:=]\s*(.*)$")
 _HEIGHT = re.compile(r"(manual_)?height(\d+)$")
 _DISTANCE = re.compile(r"distance(\d+)$")
 _NUMBER = r"[-+]?[\d.]+"
 _WORD = re.compile(rf"\s*([A-Z])\s*({_NUMBER}(?::{_NUMBER})*)(?=\s|[A-Z]|$)")
-_AROUND = 15 * _DEG  # largest deviation of a tower's angle from its third of the circle
+_AROUND = math.radians(15)  # largest deviation of a tower's angle from its third of the circle
 _TRIM = 5.0  # largest trim of a rod [mm]; in Marlin 1.1, B was the radius of calibration
 
 
@@ -63,17 +62,17 @@ def read_klipper(path: Path | str) -> PrinterFile:
         return [cfg.number(stepper, key, each) for stepper, each in zip(steppers, default, strict=True)]
 
     geometry = DeltaGeometry(
-        cfg.number("printer", "delta_radius") * _MM,
-        _times(three("angle", [math.degrees(angle) for angle in ANGLES]), _DEG),
-        _times(three("arm_length"), _MM),
-        _times(three("position_endstop"), _MM),
+        from_unit(cfg.number("printer", "delta_radius"), "mm"),
+        _in_si(three("angle", [math.degrees(angle) for angle in ANGLES]), "deg"),
+        _in_si(three("arm_length"), "mm"),
+        _in_si(three("position_endstop"), "mm"),
     )
     _require_printer(path, geometry)
     turns, micro, full = three("rotation_distance"), three("microsteps"), three("full_steps_per_rotation", (200.0,) * 3)
     gears = [cfg.ratio(stepper) for stepper in steppers]
     if min(*turns, *micro, *full, *gears) <= 0:
         raise DataError(f"{path}: rotation_distance, microsteps, full_steps_per_rotation must be positive")
-    step = [_MM * t / (m * f * g) for t, m, f, g in zip(turns, micro, full, gears, strict=True)]
+    step = [from_unit(t, "mm") / (m * f * g) for t, m, f, g in zip(turns, micro, full, gears, strict=True)]
     printer = PrinterFile(str(path), geometry, cfg.rows(step))
     if printer.rows:
         require_steps(printer, micro)
@@ -88,8 +87,8 @@ def _rotary_delta(path: Path | str) -> DataError:
     )
 
 
-def _times(values: Sequence[float], unit: float) -> tuple[float, ...]:
-    return tuple(value * unit for value in values)
+def _in_si(values: Sequence[float], unit: str) -> tuple[float, ...]:
+    return tuple(from_unit(value, unit) for value in values)
 
 
 class _Klipper:
@@ -145,7 +144,7 @@ class _Klipper:
             height, distance = _HEIGHT.match(key), _DISTANCE.match(key)
             if section != calibration or not (height or distance):
                 continue
-            value = self._numbers(section, key, text, 1)[0] * _MM
+            value = from_unit(self._numbers(section, key, text, 1)[0], "mm")
             ends = ("_pos",) if height else ("_pos1", "_pos2")
             places = [self._numbers(calibration, key + end, self.text(calibration, key + end), 3) for end in ends]
             down = tuple(tuple(steps * size for steps, size in zip(place, step, strict=True)) for place in places)
@@ -185,9 +184,9 @@ def read_m665(path: Path | str, firmware: str) -> PrinterFile:
     else:
         _require_duet(path, rods, ends)
         arms = [rods[0], rods[-2 % len(rods)], rods[-1]]
-    angles = tuple(angle + turn * _DEG for angle, turn in zip(ANGLES, turned, strict=True))
-    endstops = _times([height + end for end in up], _MM)
-    geometry = DeltaGeometry(settings["R"][0] * _MM, angles, _times(arms, _MM), endstops)
+    angles = tuple(angle + from_unit(turn, "deg") for angle, turn in zip(ANGLES, turned, strict=True))
+    endstops = _in_si([height + end for end in up], "mm")
+    geometry = DeltaGeometry(from_unit(settings["R"][0], "mm"), angles, _in_si(arms, "mm"), endstops)
     _require_printer(path, geometry)
     return PrinterFile(str(path), geometry)
 
@@ -197,14 +196,14 @@ def _require_printer(path: Path | str, geometry: DeltaGeometry) -> None:
     for tower, angle, expected in zip(TOWERS, geometry.angles, tower_angles(geometry.angles[2]), strict=True):
         if abs(math.remainder(angle - expected, math.tau)) > _AROUND:
             raise DataError(
-                f"{path}: tower {tower} is at {angle / _DEG:g} deg, and tower c at {geometry.angles[2] / _DEG:g} deg;"
-                " towers are 120 deg apart: correct it"
+                f"{path}: tower {tower} is at {quantity_text(angle, 'deg', 'g')}, and tower c at"
+                f" {quantity_text(geometry.angles[2], 'deg', 'g')}; towers are 120 deg apart: correct it"
             )
     for tower, end in zip(TOWERS, geometry.endstops, strict=True):
         if end <= 0:
             raise DataError(
-                f"{path}: the switch of tower {tower} would trip with the nozzle at {millimetres(end):g} mm, below the"
-                " bed; correct it"
+                f"{path}: the switch of tower {tower} would trip with the nozzle at {quantity_text(end, 'mm', 'g')},"
+                " below the bed; correct it"
             )
 
 

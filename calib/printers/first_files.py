@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.core.base.errors import InputError
 from calib.core.base.files import write_files
-from calib.core.base.units import millimetres, quantity
+from calib.core.base.units import quantity, quantity_text
 from calib.core.base.words import count_noun
 from calib.core.commands.common import Output
 from calib.core.robots.urdf.writing import robot_text
@@ -29,8 +29,8 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
         arm, stated_length = quantity(value, "length", "--length arm"), max(printer.geometry.arms)
         if not stated_length / 2 < arm < stated_length * 2:
             raise InputError(
-                f"--length {text}: is {millimetres(arm):g} mm, and {printer.path} has arms of"
-                f" {millimetres(stated_length):g} mm;"
+                f"--length {text}: is {quantity_text(arm, 'mm', 'g')}, and {printer.path} has arms of"
+                f" {quantity_text(stated_length, 'mm', 'g')};"
                 " correct it, with its unit, such as arm=288mm"
             )
     geometry = expected_geometry(printer, arm)
@@ -56,7 +56,7 @@ def _saved_errors(printer: PrinterFile) -> str:
     for noun, n_places in (("heights", 1), ("distances", 2)):
         of_kind = errors[[len(row.places) == n_places for row in printer.rows]]
         if of_kind.size:
-            parts.append(f"{noun} {millimetres(float(np.sqrt(np.mean(of_kind**2)))):.4f} mm RMS")
+            parts.append(f"{noun} {quantity_text(np.sqrt(np.mean(of_kind**2)), 'mm', '.4f')} RMS")
     return (
         f"errors of the settings in {Path(printer.path).name}: {', '.join(parts)}; the firmware computed these"
         " settings from the same rows, so the verdict compares a fit with the printer as designed"

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.core.base.errors import InputError
-from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.units import in_unit, millimetres
 from calib.core.robots.file_formats import FormatFile
 from calib.core.robots.robot import Robot
 from calib.printers import COMMENTS
@@ -51,7 +51,7 @@ def _mm(value: float) -> str:
 
 
 def _degrees(value: float) -> str:
-    return f"{value * PER_SI['angle']['deg'] + 0.0:.4f}"
+    return f"{in_unit(value, 'deg') + 0.0:.4f}"
 
 
 def _klipper(geometry: DeltaGeometry) -> tuple[list[str], str]:

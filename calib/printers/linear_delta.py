@@ -33,7 +33,7 @@ import pinocchio as pin
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.base.parameter import Parameter
-from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale, millimetres
+from calib.core.base.units import DISPLAY_UNIT, Dimension, quantity_text
 from calib.core.robots.parameters import Origin, ResultUse, twist_of_edit
 from calib.shared.plan import BASE, Plan
 
@@ -84,8 +84,8 @@ class DeltaGeometry:
     def __post_init__(self) -> None:
         if not 0 < self.radius < min(self.arms):
             raise InputError(
-                f"arms of {millimetres(min(self.arms)):g} mm on towers at a radius of {millimetres(self.radius):g} mm"
-                " reach nothing; correct delta_radius or arm_length"
+                f"arms of {quantity_text(min(self.arms), 'mm', 'g')} on towers at a radius of"
+                f" {quantity_text(self.radius, 'mm', 'g')} reach nothing; correct delta_radius or arm_length"
             )
 
     @property
@@ -216,7 +216,7 @@ def linear_delta_plan(geometry: DeltaGeometry, copies: int = 1) -> Plan:
 def linear_delta_description(plan: Plan, title: str, urdf: str, n_rows: int, saved: DeltaGeometry) -> str:
     """Return the text of a delta's description; arms are held if there are no more rows than parameters."""
     twice = "platform_2" in plan.links
-    sigma = f"{millimetres(DISTANCE):g} mm"
+    sigma = quantity_text(DISTANCE, "mm", "g")
     caliper = f"  caliper: {{kind: distance, target: nozzle, end: {{frame: platform_2}}, sigma: {sigma}}}\n"
     pairs = ", ".join(f"[{frame}, {other}]" for frame, other in plan.loops)
     return f"""\
@@ -240,10 +240,10 @@ targets:
 
 # What is measured: heights over the bed, distances of a printed object.
 instruments:
-  probe: {{kind: height, target: nozzle, sigma: {millimetres(HEIGHT):g} mm}}
+  probe: {{kind: height, target: nozzle, sigma: {quantity_text(HEIGHT, "mm", "g")}}}
 {caliper if twice else ""}
 # delta_radius, angles of towers, arms and endstops as firmwares have them. Probing hardly shows arms and angles: they
-# are expected to be as designed, within {millimetres(ARM):g} mm and {math.degrees(ANGLE):g} deg.
+# are expected to be as designed, within {quantity_text(ARM, "mm", "g")} and {quantity_text(ANGLE, "deg", "g")}.
 parametrisation: {NAME}
 {_in_use(saved) if n_rows else ""}{_HELD if 0 < n_rows <= len(PARAMETERS) else ""}"""
 
@@ -251,7 +251,7 @@ parametrisation: {NAME}
 def _in_use(saved: DeltaGeometry) -> str:
     texts: dict[Dimension, list[str]] = {"length": [], "angle": []}
     for (name, (dimension, _)), value in zip(PARAMETERS.items(), saved.values, strict=True):
-        texts[dimension].append(f"{name}: {value * display_scale(dimension):.6f} {DISPLAY_UNIT[dimension]}")
+        texts[dimension].append(f"{name}: {quantity_text(value, DISPLAY_UNIT[dimension], '.6f')}")
     entries = ", ".join([*texts["length"], *texts["angle"]])
     return f"\n# What the firmware uses now. It was computed from the same rows.\nin_use: {{{entries}}}\n"
 

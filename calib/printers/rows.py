@@ -15,13 +15,12 @@ import numpy as np
 import scipy
 
 from calib.core.base.errors import DataError
-from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.units import from_unit, millimetres, quantity_text
 from calib.core.base.words import listing
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM, FEWEST
 from calib.printers.linear_delta import DISTANCE, HEIGHT, PARAMETERS, TOWERS, DeltaGeometry, tower_angles
 
-_MM = 1 / PER_SI["length"]["mm"]
 _FITS = 2e-3  # largest error of rows with the right steps and the saved settings [m]
 _FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0)
 _FAR, _TIMES = 0.5e-3, 6.0  # a row is far off above this error [m], and above this multiple of the median
@@ -81,7 +80,7 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
         )
 
     def rounded(values: tuple[float, ...]) -> float:
-        return round(millimetres(sum(values) / len(values))) * _MM
+        return from_unit(float(round(millimetres(sum(values) / len(values)))), "mm")
 
     if arm is None and any(len(row.places) == 2 for row in printer.rows):
         arm = rounded(file.arms)
@@ -123,7 +122,7 @@ def require_steps(printer: PrinterFile, micro: Sequence[float]) -> None:
             f"{printer.path}: the probed positions were counted in other microsteps than the file has; they fit"
             f" {wrong}: write these into a copy of the file, or probe again"
         )
-    off = f"are {millimetres(as_stated):.1f} mm from what was measured"
+    off = f"are {quantity_text(as_stated, 'mm', '.1f')} from what was measured"
     shown = off if np.isfinite(as_stated) else "are out of reach"
     raise DataError(
         f"{printer.path}: with the settings of the file its probed positions {shown}; they were taken before"
@@ -139,8 +138,8 @@ def require_plausible(printer: PrinterFile) -> None:
         others = {value for value in values if value != row.value}
         if len(probed) > 3 and values.count(row.value) == 1 and len(others) == 1:
             raise DataError(
-                f"{printer.path}, line {row.line}: {row.name} is {millimetres(row.value):g} mm, and all others are"
-                f" {millimetres(others.pop()):g} mm, the offset of the probe; correct it"
+                f"{printer.path}, line {row.line}: {row.name} is {quantity_text(row.value, 'mm', 'g')}, and all others"
+                f" are {quantity_text(others.pop(), 'mm', 'g')}, the offset of the probe; correct it"
             )
     saved = np.abs(residuals(printer.geometry, printer.rows))
     saved = np.where(np.isnan(saved), np.inf, saved)
@@ -153,8 +152,9 @@ def require_plausible(printer: PrinterFile) -> None:
     if far or (chance < FALSE_ALARM and off > _FAR):
         row, judges = printer.rows[k], "the other rows" + ("" if errors is not None else " and the saved settings")
         raise DataError(
-            f"{printer.path}, line {row.line}: {row.name} {millimetres(row.value):g} mm is"
-            f" {millimetres(off):.2f} mm off the value from {judges}; correct it or its position, or remove both"
+            f"{printer.path}, line {row.line}: {row.name} {quantity_text(row.value, 'mm', 'g')} is"
+            f" {quantity_text(off, 'mm', '.2f')} off the value from {judges}; correct it or its position, or remove"
+            " both"
         )
 
 

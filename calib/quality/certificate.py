@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.core.base.units import millimetres
+from calib.core.base.units import in_unit
 from calib.core.base.version import PROGRAM
 from calib.core.base.words import as_data
 from calib.core.judging.repeatability import doubtful_repeats, iso_figures
@@ -128,7 +128,7 @@ def document(content: Mapping[str, Any]) -> Document:
 
 
 def _um(length: float) -> str:
-    return _format_number(1e3 * millimetres(length), 4)
+    return _format_number(in_unit(length, "um"), 4)
 
 
 def _format_number(number: float, digits: int = 3) -> str:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import json
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -19,11 +18,13 @@ from typing import Any, NoReturn
 
 import click
 
-from calib.core.base.errors import ComputationError, InputError, nearest
+from calib.core.base.errors import ComputationError, InputError, nearest, require_package
 from calib.core.base.files import read_bytes
 from calib.core.base.sections import read_yaml
 from calib.core.base.threads import one_blas_thread
+from calib.core.base.units import quantity_text
 from calib.core.base.version import DISTRIBUTION
+from calib.core.base.words import json_file
 from calib.core.commands.common import Output, shared_options
 from calib.core.data.measurement_files import read_poses
 from calib.core.results.loaded_result import LoadedResult
@@ -39,7 +40,7 @@ _WRITERS: dict[str, Callable[[Mapping[str, Any]], bytes]] = {
     ".xml": xml,
     ".pdf": lambda content: document(content).pdf(),
     ".html": lambda content: document(content).html().encode(),
-    ".json": lambda content: (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode(),
+    ".json": json_file,
 }
 _COMMENTS = {".pdf": "%"}
 
@@ -118,13 +119,12 @@ def command(
     if sign is not None:  # sign the written file, which also names the program
         output.write(out + ENDING, sign(read_bytes(out, "a certificate", InputError)))
     output.say(
-        f"U = {1e6 * found.expanded_uncertainty:.4g} um (k = {found.coverage_factor:.2f}, 95 %) for one coordinate of"
-        f" the tool, at poses like the {content['n_poses']} measured"
+        f"U = {quantity_text(found.expanded_uncertainty, 'um', '.4g')} (k = {found.coverage_factor:.2f}, 95 %) for one"
+        f" coordinate of the tool, at poses like the {content['n_poses']} measured"
     )
     if draws:
-        difference = (
-            f"they differ by {100 * drawn.difference:.1f} % from the budget ({1e6 * found.combined_uncertainty:.4g} um)"
-        )
+        of_budget = quantity_text(found.combined_uncertainty, "um", ".4g")
+        difference = f"they differ by {100 * drawn.difference:.1f} % from the budget ({of_budget})"
         output.say(f"Monte Carlo: {drawn.draws} draws, {difference}")
     if not stated.model_fields_set:
         output.note("note: no 'traceability' is stated: the budget knows nothing of instrument and temperature")
@@ -196,10 +196,8 @@ def verify(path: str, key: str) -> None:
 
 
 def _library(name: str) -> Any:
-    try:
-        return import_module(f"cryptography.hazmat.primitives.{name}")
-    except ImportError:
-        raise InputError(f"a signature needs cryptography: pip install '{DISTRIBUTION}[certificate]'") from None
+    missing = f"a signature needs cryptography: pip install '{DISTRIBUTION}[certificate]'"
+    return require_package(f"cryptography.hazmat.primitives.{name}", missing)
 
 
 def _read_kind(path: str, kind: str, load: Callable[[], Any]) -> Any:

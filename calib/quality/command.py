@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,7 +11,7 @@ import click
 
 from calib.core.base.files import write_folder
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.words import count_noun
+from calib.core.base.words import count_noun, json_file
 from calib.core.base.workers import Progress
 from calib.core.commands.common import Output, load_robot, shared_options
 from calib.core.data.measurement_files import read_measurements
@@ -55,7 +54,7 @@ def command(robot: str | None, data: tuple[str, ...], out: str, output: Output) 
         checks = _checks(work, progress)
     protocol = Protocol(tuple(checks), machine_facts(), started, time.perf_counter() - clock)
     document = protocol_document(protocol)
-    contents = (document.html().encode(), (json.dumps(protocol.to_dict(), indent=1) + "\n").encode())
+    contents = (document.html().encode(), json_file(protocol.to_dict()))
     files = dict(zip(names, (*contents, *([document.pdf()] if len(names) == len(_NAMES) else [])), strict=True))
     write_folder(out, files, force=output.force)
     for check in checks:

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from typing import Any, TypeAlias
 
-from calib.core.base.errors import InputError
+from calib.core.base.errors import InputError, require_package
 from calib.core.base.units import PER_SI
 from calib.core.base.version import DISTRIBUTION, VERSION
 from calib.quality.certificate import LEGAL, MEASURAND
@@ -41,10 +40,8 @@ def xml(content: Mapping[str, Any]) -> bytes:
     Raises:
         InputError: lxml is not installed, or the description does not give the day of the measurements.
     """
-    try:
-        etree = import_module("lxml.etree")
-    except ImportError:
-        raise InputError(f"a digital certificate needs lxml: pip install '{DISTRIBUTION}[certificate]'") from None
+    missing = f"a digital certificate needs lxml: pip install '{DISTRIBUTION}[certificate]'"
+    etree = require_package("lxml.etree", missing)
     stated = content["traceability"]
     if not stated.get("date"):
         raise InputError(

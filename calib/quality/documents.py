@@ -5,13 +5,12 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 from html import escape
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 
-from calib.core.base.errors import InputError
+from calib.core.base.errors import require_package
 from calib.core.base.version import DISTRIBUTION
 
 _STYLE = """\
@@ -98,13 +97,8 @@ class Document:
         Raises:
             InputError: fpdf2 is not installed.
         """
-        try:
-            fpdf = import_module("fpdf")
-        except ImportError:
-            raise InputError(
-                f"a PDF needs fpdf2: pip install '{DISTRIBUTION}[certificate]', or print the HTML"
-            ) from None
-        mark = self.mark
+        missing = f"a PDF needs fpdf2: pip install '{DISTRIBUTION}[certificate]', or print the HTML"
+        fpdf, mark = require_package("fpdf", missing), self.mark
 
         class Page(fpdf.FPDF):  # type: ignore[name-defined,misc]
             def footer(self) -> None:

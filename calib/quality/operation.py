@@ -21,7 +21,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.registry import list_entry_points, load_entry, load_named
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.settings import Settings
@@ -108,12 +108,12 @@ def _robot(name: str, robot: Robot, seed: int) -> Iterator[Check]:
     apart = _largest_difference(true, joints)
     slopes = _slopes(true, joints[:5])
     off = _recovery_error(robot, true, joints, seed)
-    expected = f"within {millimetres(_FAR):g} mm of a product of single transforms"
-    yield _check(f"positions of the {name}", expected, f"{millimetres(apart):.1e} mm", apart <= _FAR)
+    expected = f"within {quantity_text(_FAR, 'mm', 'g')} of a product of single transforms"
+    yield _check(f"positions of the {name}", expected, quantity_text(apart, "mm", ".1e"), apart <= _FAR)
     expected = f"relative difference to central differences at most {_SLOPES:g}"
     yield _check(f"Jacobian of the {name}", expected, f"{slopes:.1e}", slopes <= _SLOPES)
-    expected = f"readings without noise: within {millimetres(_FOUND):g} mm of the truth at other poses"
-    yield _check(f"recovery of the {name}", expected, f"{millimetres(off):.1e} mm", off <= _FOUND)
+    expected = f"readings without noise: within {quantity_text(_FOUND, 'mm', 'g')} of the truth at other poses"
+    yield _check(f"recovery of the {name}", expected, quantity_text(off, "mm", ".1e"), off <= _FOUND)
 
 
 def draw_robot(robot: Robot, seed: int, part: float = 1.0) -> Robot:

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from calib.core.base.errors import CalibrationError
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.calibrating.calibrate import calibrate
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.settings import Settings
@@ -55,7 +55,7 @@ def _check_simulated() -> Iterator[Check]:
     claimed = np.nan if verdict.claim is None else verdict.claim.at_measured_poses.rms
     ratio = claimed / error
     expected = f"claim / error at {_OTHERS} other poses: {_LEAST:g} to {1 / _LEAST:.2f}"
-    found = f"{ratio:.2f} ({millimetres(claimed):.3f} mm claimed, {millimetres(error):.3f} mm found)"
+    found = f"{ratio:.2f} ({quantity_text(claimed, 'mm', '.3f')} claimed, {quantity_text(error, 'mm', '.3f')} found)"
     yield _check("claim about a simulated robot", expected, found, bool(_LEAST <= ratio <= 1 / _LEAST))
 
 

@@ -27,7 +27,7 @@ from calib.starting.dh_tables import LAST_LINK, urdf_of_table
 from calib.starting.templates import TEMPLATES, read_lengths
 
 _LENGTHS = "; ".join(
-    f"{name}: " + ", ".join(f"{key} {quantity_text(value, 'length', 'g')}" for key, value in template.lengths.items())
+    f"{name}: " + ", ".join(f"{key} {quantity_text(value, 'mm', 'g')}" for key, value in template.lengths.items())
     for name, template in TEMPLATES.items()
 )
 _SOURCES: dict[str, FirstFiles] = dict(load_group("calib.first_descriptions", "first description"))

@@ -161,7 +161,7 @@ def _two_links(to: FloatArray, first: float, second: float, side: int) -> tuple[
     """Angle of the first link and bend to the second that reach `to` (2,) [m], elbow to the left for side 1."""
     far = math.hypot(*to)
     if not abs(first - second) < far < first + second:
-        shown = [quantity_text(length, "length", ".9g") for length in (first, second, far)]
+        shown = [quantity_text(length, "mm", ".9g") for length in (first, second, far)]
         raise InputError(f"links of {shown[0]} and {shown[1]} cannot span {shown[2]}")
     start = math.atan2(to[1], to[0]) + side * math.acos((first**2 + far**2 - second**2) / (2 * first * far))
     bend = -side * (math.pi - math.acos((first**2 + second**2 - far**2) / (2 * first * second)))
@@ -200,7 +200,7 @@ def _anchor(plan: Plan, leg: str, xyz: FloatArray) -> None:
     plan.loops.append((f"{leg}_place", f"{leg}_tip"))
 
 
-_mm = partial(quantity_text, dimension="length", form=".9g")
+_mm = partial(quantity_text, unit="mm", form=".9g")
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.parameter import Parameter
-from calib.core.base.units import millimetres
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import as_data, count_noun, data_frame, listing, plain_text, text_table
 
 _TAIL = 0.05  # probability of both tails of chi-square together
@@ -203,8 +203,8 @@ class Study(ReadOnlyArrays):
             lines.append(f"biased by more than chance ({_SURE:g} standard deviations): {listing(biased)}")
         if self.draws.errors.size:
             lines.append(
-                f"predicted positions elsewhere: RMS error {millimetres(self.position_error):.4f} mm, intervals contain"
-                f" {truth} in {_range(100 * self.position_coverage)} %"
+                f"predicted positions elsewhere: RMS error {quantity_text(self.position_error, 'mm', '.4f')}, intervals"
+                f" contain {truth} in {_range(100 * self.position_coverage)} %"
             )
         if np.isfinite(self.chi_square):
             lines.append(

@@ -8,7 +8,7 @@ import calib
 import medrue
 from viz.bodies import bodies_of, posed_robot
 from viz.geometry import read_shapes
-from viz.shapes import GREY, mesh, primitive, rotation_onto_z, thin
+from viz.shapes import GREY, Shape, rotation_onto_z, thin
 
 URDF = """<robot name="arm">
  <material name="red"><color rgba="1 0 0 1"/></material>
@@ -180,14 +180,14 @@ def test_corners_enclose_a_turned_shape():
     T = np.eye(4)
     T[:3, :3] = rotation_onto_z(np.array([1.0, 0.0, 0.0]))
     T[:3, 3] = [1, 2, 3]
-    corners = primitive("c", "root", "cylinder", (0.1, 2.0), T).corners()
+    corners = Shape("c", "root", "cylinder", (0.1, 2.0), T).corners()
     np.testing.assert_allclose(corners.min(axis=0), [0, 1.9, 2.9], atol=1e-12)
     np.testing.assert_allclose(corners.max(axis=0), [2, 2.1, 3.1], atol=1e-12)
 
 
 def test_corners_enclose_a_mesh():
     tetrahedron = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
-    corners = mesh("m", None, tetrahedron, np.array([[0, 1, 2]])).corners()
+    corners = Shape("m", None, "mesh", vertices=tetrahedron, faces=np.array([[0, 1, 2]])).corners()
     np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[0, 0, 0], [1, 2, 3]])
 
 

@@ -24,7 +24,7 @@ from viz.answer_page import _image_charts
 from viz.drawing import draw
 from viz.scene import build_scene
 from viz.scene_data import certainty, point_pixels, ranges, scene_data, summary
-from viz.shapes import mesh
+from viz.shapes import Shape
 from viz.viewer_page import ViewerPage, json_in_script, scene_page, script_safe
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
@@ -181,7 +181,7 @@ def test_the_commands_are_meshcat_s_own(scene):
     vertices, faces = np.random.default_rng(1).normal(size=(5, 3)), np.array([[0, 1, 2], [2, 3, 4]])
     shapes = (
         *(shape for shape in scene.shapes),
-        mesh("m", scene.bodies.names[1], vertices, faces, (0.2, 0.4, 0.6, 0.5)),
+        Shape("m", scene.bodies.names[1], "mesh", vertices=vertices, faces=faces, colour=(0.2, 0.4, 0.6, 0.5)),
     )
     scene = dataclasses.replace(scene, shapes=shapes)
     assert {shape.kind for shape in (*shapes, *scene.decorations)} == {"box", "cylinder", "sphere", "mesh"}

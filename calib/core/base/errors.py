@@ -11,7 +11,9 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable
 from difflib import SequenceMatcher
+from importlib import import_module
 from itertools import takewhile
+from typing import Any
 
 from calib.core.base.letters import brief, visible
 
@@ -102,6 +104,14 @@ def require_known(name: str, valid: Collection[str], message: str, error: type[E
     """Raise an error with this beginning, the name and the `nearest` valid one, unless the name is valid."""
     if name not in valid:
         raise error(f"{message} '{name}'{nearest(name, valid)}")
+
+
+def require_package(name: str, missing: str, error: type[Exception] = InputError) -> Any:
+    """Return an optional package, or a module of one; raise the `error` with the message `missing` without it."""
+    try:
+        return import_module(name)
+    except ImportError:
+        raise error(missing) from None
 
 
 def nearest_column(name: str, columns: Collection[str], taken: Collection[str] = ()) -> str:

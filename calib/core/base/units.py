@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError, nearest
 
-Lengths = TypeVar("Lengths", float, FloatArray)
+Values = TypeVar("Values", float, FloatArray)
 Number = TypeVar("Number")
 Dimension = Literal["length", "angle", "pixel", "time", "temperature", "mass", "acceleration", "number"]
 
@@ -37,6 +36,7 @@ DISPLAY_UNIT: dict[Dimension, str] = {dimension: next(iter(units)) for dimension
 """Units of values in files and tables."""
 ERROR_UNIT: dict[Dimension, str] = DISPLAY_UNIT | {"angle": "mrad"}
 """Units of errors."""
+_SCALES = {unit: scale for units in PER_SI.values() for unit, scale in units.items()}
 _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°µ\u03bc]*)\s*$")
 _COLUMN = re.compile(r"^\s*(?P<name>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$", re.DOTALL)
 _UNIT = "|".join(map(re.escape, (*_SIGNS, *PER_SI["length"], *PER_SI["angle"])))
@@ -174,48 +174,25 @@ def mapped_column(text: str) -> MappedColumn:
     return MappedColumn(match["name"], unit, factor, offset)
 
 
-def error_unit(dimension: Dimension) -> tuple[str, float]:
-    """Return the unit of errors in tables, and the factor to it from SI: mm and mrad, 1000."""
-    return ERROR_UNIT[dimension], error_scale(dimension)
+def in_unit(value: Values, unit: str) -> Values:
+    """Return an SI value, or an array of them, in a unit of `PER_SI`, such as `deg`."""
+    return value * _SCALES[unit]
 
 
-def display_unit(dimension: Dimension) -> tuple[str, float]:
-    """Return the unit of values in files and tables, such as mm and deg, and the factor to it from SI."""
-    return DISPLAY_UNIT[dimension], display_scale(dimension)
+def from_unit(value: Values, unit: str) -> Values:
+    """Return a value, or an array of them, in a unit of `PER_SI`, such as `mm`, in SI."""
+    return value / _SCALES[unit]
 
 
-def error_scale(dimension: Dimension) -> float:
-    """Return the factor from SI to the unit of errors in tables: 1000 for lengths and angles, in mm and mrad."""
-    return PER_SI[dimension][ERROR_UNIT[dimension]]
+def quantity_text(value: float, unit: str, form: str = ".3g") -> str:
+    """Return an SI value in a unit of `PER_SI`, such as `mm` or `ERROR_UNIT[dimension]`, with that unit after it.
 
-
-def display_scale(dimension: Dimension) -> float:
-    """Return the factor from SI to the unit of files and tables, such as mm and degrees."""
-    return PER_SI[dimension][DISPLAY_UNIT[dimension]]
-
-
-def quantity_text(
-    value: float, dimension: Dimension, form: str = ".3g", units: Mapping[Dimension, str] = ERROR_UNIT
-) -> str:
-    """Return an SI value with its unit, one of `ERROR_UNIT` or `DISPLAY_UNIT`.
-
-    >>> quantity_text(0.000123456, "length"), quantity_text(0.5, "angle", ".1f", DISPLAY_UNIT)
+    >>> quantity_text(0.000123456, "mm"), quantity_text(0.5, "deg", ".1f")
     ('0.123 mm', '28.6 deg')
     """
-    unit = units[dimension]
-    return f"{value * PER_SI[dimension][unit]:{form}} {unit}"
+    return f"{in_unit(value, unit):{form}} {unit}"
 
 
-def millimetres(length: Lengths) -> Lengths:
+def millimetres(length: Values) -> Values:
     """Return a length, or an array of lengths, [m] in mm."""
-    return length * PER_SI["length"]["mm"]
-
-
-def micrometres(length: Lengths) -> Lengths:
-    """Return a length, or an array of lengths, [m] in um."""
-    return length * PER_SI["length"]["um"]
-
-
-def metres(length_in_mm: Lengths) -> Lengths:
-    """Return a length, or an array of lengths, [mm] in m."""
-    return length_in_mm / PER_SI["length"]["mm"]
+    return in_unit(length, "mm")

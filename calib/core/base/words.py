@@ -5,11 +5,11 @@ from __future__ import annotations
 import functools
 import html
 import io
+import json
 import logging
 import math
 import textwrap
 from collections.abc import Collection, Iterable, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from calib.core.base.errors import InputError
+from calib.core.base.errors import require_package
 
 _LISTED = 5
 
@@ -125,6 +125,11 @@ def as_data(value: Any) -> Any:
     return None if isinstance(number, float) and not math.isfinite(number) else number
 
 
+def json_file(content: object) -> bytes:
+    """Return data as the content of a JSON file; null for unknown numbers."""
+    return (json.dumps(as_data(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
+
+
 def table_html(rows: Sequence[dict[str, object]]) -> str:
     """Return rows as an HTML table; nothing in them is markup."""
     if not rows:
@@ -147,10 +152,7 @@ def data_frame(rows: Sequence[dict[str, object]]) -> Any:
 
 def pandas() -> Any:
     """Return pandas; its absence is an `InputError`."""
-    try:
-        return import_module("pandas")
-    except ImportError:
-        raise InputError("pandas is not installed; `pip install pandas` first") from None
+    return require_package("pandas", "pandas is not installed; `pip install pandas` first")
 
 
 def _cell(value: object) -> str:

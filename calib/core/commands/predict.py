@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.core.base.units import error_scale, quantity_text
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun
 from calib.core.commands.common import (
     Output,
@@ -80,10 +80,10 @@ def _expected_error(claim: Claim | None, known: float) -> tuple[dict[str, float]
     """Expected error of the tool where positions are known to `known` [m], as data and in words; None if unknown."""
     if claim is None or not np.isfinite(claim.at_measured_poses.limit95 + claim.rms):
         return None, ""
-    here, scale = claim.error_at(known), error_scale("length")
-    words = f"The real tool is within {quantity_text(here.limit95, 'length')} of these positions, 95 % of the time"
+    here = claim.error_at(known)
+    words = f"The real tool is within {quantity_text(here.limit95, 'mm')} of these positions, 95 % of the time"
     if here.times < _FURTHER:
         words += f", {claim.region}"
     else:
         words += f". This is {here.times:.2g} times as far as {claim.region}"
-    return {"rms": scale * here.rms, "limit95": scale * here.limit95, "times": here.times}, words
+    return {"rms": millimetres(here.rms), "limit95": millimetres(here.limit95), "times": here.times}, words

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError
-from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale
+from calib.core.base.units import DISPLAY_UNIT, Dimension, in_unit
 from calib.core.instruments.kind import Instrument, Readings
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import condition_columns as dimensions_of_conditions
@@ -172,4 +172,4 @@ def header(name: str, dimension: Dimension | None) -> str:
 
 def in_table_unit(numbers: FloatArray, dimension: Dimension | None) -> FloatArray:
     """Return numbers (n,) [SI] in the unit of tables."""
-    return numbers if dimension is None else numbers * display_scale(dimension)
+    return numbers if dimension is None else in_unit(numbers, DISPLAY_UNIT[dimension])

@@ -16,7 +16,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.other_words import HintedObject
-from calib.core.base.units import DISPLAY_UNIT, Dimension, display_scale
+from calib.core.base.units import DISPLAY_UNIT, Dimension, quantity_text
 from calib.core.base.words import html_with_title, pandas
 from calib.core.data.measurement_columns import approach_columns, condition_columns, pose_columns, reading_columns
 from calib.core.data.pose_groups import shuffled_poses
@@ -364,6 +364,6 @@ def check_repeats(poses: Poses, robot: Robot) -> None:
         dimension = robot.mechanism.dimensions[robot.joint_names[joint]]
         raise DataError(
             f"{poses.labels[row]}: joint '{robot.joint_names[joint]}' differs by"
-            f" {spread[pose, joint] * display_scale(dimension):.3g} {DISPLAY_UNIT[dimension]} among the rows of pose"
+            f" {quantity_text(spread[pose, joint], DISPLAY_UNIT[dimension])} among the rows of pose"
             f" '{poses.names[row]}'; rows with the same pose value must repeat one pose"
         )

@@ -10,7 +10,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
 from calib.core.base.tolerances import stated_tolerance
-from calib.core.base.units import DISPLAY_UNIT, quantity_text
+from calib.core.base.units import quantity_text
 from calib.core.data.instrument_cells import labels_of_rows, lacking_column, names_of_poses, setups_of
 from calib.core.data.measurement_columns import APPROACH
 from calib.core.data.measurements import Poses, states_by_order
@@ -53,7 +53,7 @@ def _check_gravity(poses: Poses, robot: Robot, table: Table) -> None:
     angles = contradiction_angles(robot, poses.joints, poses.conditions)
     if not np.all(np.isnan(angles)):
         k = int(np.nanargmax(angles))
-        off = quantity_text(angles[k], "angle", ".0f", DISPLAY_UNIT)
+        off = quantity_text(angles[k], "deg", ".0f")
         raise DataError(
             f"{table.where(k)}: the direction of gravity that was read is {off} from the one that"
             f" {robot.path} states; check gravity.down, gravity.frame and the signs (an accelerometer at rest reads"
@@ -136,7 +136,7 @@ def _check_tilts(robot: Robot, sensor: str, tilts: FloatArray, table: Table) -> 
     beyond = (tilts < lower) | (tilts > upper)
     if np.any(beyond):
         k, j = np.argwhere(beyond)[0]
-        read, low, high = (quantity_text(x, "angle", ".2f", DISPLAY_UNIT) for x in (tilts[k, j], lower[j], upper[j]))
+        read, low, high = (quantity_text(x, "deg", ".2f") for x in (tilts[k, j], lower[j], upper[j]))
         raise DataError(
             f"{table.where(k)}: what '{sensor}' reads turns {section.joints[j]} by {read}, and its"
             f" limits in the URDF are {low} and {high}; check signs (an accelerometer at rest reads upwards), the axes"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib.core.base.arrays import FloatArray, IntArray, ReadAsArray, ReadOnlyArrays
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.memoize import memoize
-from calib.core.base.units import error_scale
+from calib.core.base.units import ERROR_UNIT, in_unit
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import Instrument, Part
 
@@ -153,7 +153,7 @@ def error_table(errors: FloatArray, part: Part | None = None) -> dict[str, objec
         errors of the part (mm for a position); std is NaN for a single error.
     """
     axes = ("x", "y", "z") if part is None else part.axes
-    shown = np.asarray(errors) * error_scale("length" if part is None else part.dimension)
+    shown = in_unit(np.asarray(errors), ERROR_UNIT["length" if part is None else part.dimension])
     length = np.sqrt(np.nansum(shown**2, axis=1))
     table: dict[str, object] = {
         "mean": float(np.mean(length)),

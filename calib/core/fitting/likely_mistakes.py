@@ -37,7 +37,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import CalibrationError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.data.in_memory import plain_readings
 from calib.core.data.measurements import Measurements, with_points
@@ -105,7 +105,7 @@ def likely_mistake(robot: Robot, data: Measurements, noise: float = np.inf, *, g
     spread = float(np.sqrt(np.mean(np.var(sound.points(robot), axis=0))))
     if scales is None or not scales.map.is_scaled or scales.noise > min(_HALF * noise, LARGE_NOISE * spread):
         return ""
-    left = f"a fit leaves {millimetres(scales.noise):.3g} mm per axis in place of {millimetres(noise):.3g} mm"
+    left = f"a fit leaves {quantity_text(scales.noise, 'mm')} per axis in place of {quantity_text(noise, 'mm')}"
     return f"probable mistake: {scales.map.words(robot, scales.std)}. Corrected, {left}"
 
 

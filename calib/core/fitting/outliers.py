@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import quantity_text
+from calib.core.base.units import ERROR_UNIT, quantity_text
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.instruments.kind import Instrument
 from calib.core.numerics.chances import FALSE_ALARM
@@ -128,7 +128,7 @@ def size_in_words(instrument: Instrument, errors: FloatArray) -> str:
     """Return the errors (n_rows,) [SI] of one reading in words, such as `0.123 mm and 0.4 mrad`."""
     sizes = []
     for part, length in zip(instrument.parts, _lengths(instrument, errors), strict=True):
-        sizes.append(quantity_text(length, part.dimension, ".3f"))
+        sizes.append(quantity_text(length, ERROR_UNIT[part.dimension], ".3f"))
     return " and ".join(sizes)
 
 

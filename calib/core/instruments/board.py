@@ -150,7 +150,7 @@ class Board(Section):
     def __str__(self) -> str:
         shapes = {"circles": "dots", "dots": "dots", "aruco": "markers", "apriltag": "tags"}.get(self.kind, "squares")
         numbers = [
-            f"{key} {quantity_text(value, 'length', 'g')}"
+            f"{key} {quantity_text(value, 'mm', 'g')}"
             for key in ("square", "marker", "gap", "spacing")
             if (value := getattr(self, key)) is not None
         ]

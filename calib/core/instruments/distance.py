@@ -68,7 +68,7 @@ class Distance(Relation):
         negative = np.flatnonzero(read < min(self.offset.value, 0.0))
         if len(negative) and not self.offset.unknown:
             k = int(negative[0])
-            size = quantity_text(float(read[k]), "length", "g")
+            size = quantity_text(float(read[k]), "mm", "g")
             raise DataError(
                 f"instrument '{self.name}', reading {k + 1}: {column} is {size}, which is not a distance; an"
                 " instrument whose zero is elsewhere needs `offset` in the description"

@@ -38,7 +38,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import Dimension, quantity_text
+from calib.core.base.units import ERROR_UNIT, Dimension, quantity_text
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import validation_errors
@@ -68,7 +68,7 @@ class UnusedErrors:
     @property
     def words(self) -> str:
         """Both root mean squares in words."""
-        after, before = (quantity_text(rms, self.dimension, ".4f") for rms in (self.after, self.before))
+        after, before = (quantity_text(rms, ERROR_UNIT[self.dimension], ".4f") for rms in (self.after, self.before))
         return f"RMS {after} after, {before} before"
 
 

@@ -50,7 +50,7 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.contributions import Contributions, Uncertainty, contributions_to
-from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.base.units import ERROR_UNIT, Dimension, from_unit, in_unit
 from calib.core.base.words import listing
 from calib.core.data.pose_groups import APART, is_apart
 from calib.core.fitting.error_sets import ErrorSet
@@ -177,26 +177,26 @@ class Claim:
 
     def to_dict(self) -> dict[str, object]:
         """Return the entry of `result.json`; errors in the unit of errors."""
-        measured, scale = self.at_measured_poses, error_scale(self.at_measured_poses.dimension)
+        measured, unit = self.at_measured_poses, ERROR_UNIT[self.at_measured_poses.dimension]
         return {
             "part": measured.part,
-            "unit": ERROR_UNIT[measured.dimension],
+            "unit": unit,
             "dimension": measured.dimension,
             "is_position": measured.is_position,
             "readings": measured.readings,
-            "limit95": scale * measured.limit95,
-            "rms": scale * measured.rms,
-            "rms_before": scale * measured.before if np.isfinite(measured.before) else None,
+            "limit95": in_unit(measured.limit95, unit),
+            "rms": in_unit(measured.rms, unit),
+            "rms_before": in_unit(measured.before, unit) if np.isfinite(measured.before) else None,
             "n_poses": measured.n_poses,
-            "known": scale * self.rms,
+            "known": in_unit(self.rms, unit),
             "region": self.region,
             "joints_moved_little": list(self.joints_moved_little),
             "not_used": [
                 {
                     "poses": seen.accuracy.poses.name.lower(),
                     "n_poses": seen.accuracy.n_poses,
-                    "rms": scale * seen.accuracy.rms,
-                    "rms_without_outliers": scale * kept.rms if (kept := seen.without_outliers) else None,
+                    "rms": in_unit(seen.accuracy.rms, unit),
+                    "rms_without_outliers": in_unit(kept.rms, unit) if (kept := seen.without_outliers) else None,
                     "holds": seen.holds,
                 }
                 for seen in self.unused
@@ -209,10 +209,10 @@ class Claim:
     def from_dict(cls, entry: Mapping[str, Any]) -> Self:
         """Return the claim of a `result.json` entry, NaN where not stored; KeyError, TypeError, ValueError if bad."""
         dimension: Dimension = entry["dimension"]
-        scale, is_position = error_scale(dimension), bool(entry["is_position"])
+        is_position = bool(entry["is_position"])
 
         def error(number: float | None) -> float:
-            return np.nan if number is None else float(number) / scale
+            return np.nan if number is None else from_unit(float(number), ERROR_UNIT[dimension])
 
         def seen(of: Mapping[str, Any], poses: PoseUse) -> Accuracy:
             before, rms, limit95 = (error(of.get(key)) for key in ("rms_before", "rms", "limit95"))

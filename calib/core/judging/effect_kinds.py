@@ -8,7 +8,7 @@ from enum import Enum, StrEnum
 from math import isnan
 from typing import Self
 
-from calib.core.base.units import DISPLAY_UNIT, Dimension, millimetres, quantity_text
+from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, millimetres, quantity_text
 from calib.core.base.words import joints_named
 
 PARTS_PER_MILLION = 1e6
@@ -150,14 +150,14 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
     return pattern.kind.sentence.format(
         name=pattern.name,
         detail=pattern.detail,
-        size=f"{quantity_text(pattern.size, pattern.dimension)} RMS",
+        size=f"{quantity_text(pattern.size, ERROR_UNIT[pattern.dimension])} RMS",
         joint=joints_named(pattern.name),
         other=joints_named(pattern.detail),
         shift=millimetres(amount),
-        constant="a constant" if isnan(amount) else quantity_text(amount, pattern.dimension, "+.3g"),
+        constant="a constant" if isnan(amount) else quantity_text(amount, ERROR_UNIT[pattern.dimension], "+.3g"),
         ppm=PARTS_PER_MILLION * amount,
-        height=quantity_text(abs(amount), joint, ".2g", DISPLAY_UNIT),
-        play=quantity_text(2.0 * abs(amount), joint, ".2g", DISPLAY_UNIT),
-        slope=quantity_text(amount, joint, "+.2g"),
+        height=quantity_text(abs(amount), DISPLAY_UNIT[joint], ".2g"),
+        play=quantity_text(2.0 * abs(amount), DISPLAY_UNIT[joint], ".2g"),
+        slope=quantity_text(amount, ERROR_UNIT[joint], "+.2g"),
         each="rad" if dimensions.get(pattern.detail) == "angle" else "m",
     )

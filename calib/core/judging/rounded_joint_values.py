@@ -47,7 +47,7 @@ def rounding(fit: Fit) -> tuple[str, float, float] | None:
     if not np.any(steps > 0):
         return None
     sizes = zip(steps.tolist(), (robot.mechanism.dimensions[name] for name in robot.joint_names), strict=True)
-    words = dict.fromkeys(quantity_text(step, dimension, units=DISPLAY_UNIT) for step, dimension in sizes if step > 0)
+    words = dict.fromkeys(quantity_text(step, DISPLAY_UNIT[dimension]) for step, dimension in sizes if step > 0)
     return listing(list(words), " and "), *_score(fit, steps / np.sqrt(12.0))
 
 

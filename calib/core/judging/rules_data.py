@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import Dimension, millimetres, quantity_text
+from calib.core.base.units import ERROR_UNIT, Dimension, quantity_text
 from calib.core.base.words import count_noun, joints_named, listing
 from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import SAME_JOINTS, pose_labels
@@ -135,9 +135,9 @@ def moves_as_one(fit: Fit) -> Iterator[Reason]:
     if rigid:
         yield Code.MOVES_AS_ONE.says(
             f"the distances between targets {listing([name for name in names if name in rigid])} are the same at every"
-            f" pose, to {1e6 * RIGID:g} um, while readings are off by {millimetres(fit.sigma):.3g} mm per axis: these"
-            " targets were computed from one measured pose. Intervals count each pose once. Give that pose itself,"
-            " with an instrument of kind pose"
+            f" pose, to {quantity_text(RIGID, 'um', 'g')}, while readings are off by {quantity_text(fit.sigma, 'mm')}"
+            " per axis: these targets were computed from one measured pose. Intervals count each pose once. Give that"
+            " pose itself, with an instrument of kind pose"
         )
 
 
@@ -263,8 +263,8 @@ def check_rounding(fit: Fit) -> Iterator[Reason]:
         noise, part = fit.first_noise.sigma * float(np.sqrt(min(share, 1.0))), fit.first_noise.group.part
         yield Code.ROUNDED.says(
             f"joint values were rounded to steps of {steps}, which makes about"
-            f" {quantity_text(noise, part.dimension, '.2g')} of noise. Export joint values with all digits of the"
-            " controller"
+            f" {quantity_text(noise, ERROR_UNIT[part.dimension], '.2g')} of noise. Export joint values with all digits"
+            " of the controller"
         )
 
 

@@ -10,7 +10,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
-from calib.core.base.units import ERROR_UNIT, PER_SI, error_scale, millimetres
+from calib.core.base.units import ERROR_UNIT, in_unit, millimetres, quantity_text
 from calib.core.base.words import count_noun, joints_named, listing, significant
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import moved_frame
@@ -134,8 +134,8 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
         states = fit.identification.before, fit.identification.after
         sizes = [float(np.nanmean(errors[instrument.name][kept][:, of_part] ** 2)) for errors in states]
         if sizes[1] > HARM**2 * sizes[0]:
-            scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
-            before_rms, after_rms = (scale * float(np.sqrt(size * len(part.axes))) for size in sizes)
+            unit = ERROR_UNIT[part.dimension]
+            before_rms, after_rms = (in_unit(float(np.sqrt(size * len(part.axes))), unit) for size in sizes)
             yield Code.INSTRUMENTS_DISAGREE.says(
                 f"readings of {instrument.name}, {part.name}, fit worse than before ({after_rms:.4g} {unit} RMS,"
                 f" {before_rms:.4g} before), while those of other instruments fit better: the instruments contradict"
@@ -205,21 +205,21 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
         )
     what = " and ".join(["base: pose: known"] * base + ["position: known"] * targets)
     return code, (
-        f"{what} does not fit these measurements (RMS {millimetres(stated.rms):.4g} mm; placed by the"
-        f" data: {millimetres(placed.rms):.4g} mm): {places}"
+        f"{what} does not fit these measurements (RMS {quantity_text(stated.rms, 'mm', '.4g')}; placed by the"
+        f" data: {quantity_text(placed.rms, 'mm', '.4g')}): {places}"
     )
 
 
 def _base_in_words(robot: Robot, placed: Placement) -> str:
     pose = placed.T_base_measurement.inverse()
-    rpy = ", ".join(f"{PER_SI['angle']['deg'] * value:.3f} deg" for value in pin.rpy.matrixToRpy(pose.rotation))
+    rpy = ", ".join(quantity_text(value, "deg", ".3f") for value in pin.rpy.matrixToRpy(pose.rotation))
     has_own_base = isinstance(robot.description.parametrisation, str)  # then it cannot be called unknown
     unknown = "" if has_own_base else "set base: pose: unknown, or "
     return f"{unknown}correct it to about xyz: [{_xyz(pose.translation)}], rpy: [{rpy}]"
 
 
 def _xyz(point: FloatArray) -> str:
-    return ", ".join(f"{millimetres(value):.2f} mm" for value in point)
+    return ", ".join(quantity_text(value, "mm", ".2f") for value in point)
 
 
 def frame_moved(fit: Fit) -> Iterator[Reason]:
@@ -231,7 +231,7 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
     if moved.errors is not None:
         before, after = (significant(millimetres(e.rms("after"))) for e in (fit.validation, moved.errors))
         placed = f". With the frame placed anew, the RMS error falls from {before} to {after} mm"
-    shift, angle = significant(millimetres(moved.shift)), significant(float(np.degrees(moved.angle)), 2)
+    shift, angle = significant(millimetres(moved.shift)), significant(in_unit(float(moved.angle), "deg"), 2)
     yield Code.FRAME_MOVED.says(
         f"the tracker, the base or its frame probably moved between the two files, by {shift} mm and {angle} deg: this"
         f" leaves {significant(millimetres(moved.rms_after))} mm RMS unexplained{placed}. Measure both files from one"
@@ -374,6 +374,6 @@ def check_minima(fit: Fit) -> Iterator[Reason]:
     if near:
         yield Code.OTHER_MINIMUM.says(
             f"{count_noun(len(near), 'other minimum explains', 'other minima explain')} the data as well (RMS"
-            f" {millimetres(near[0].rms):.4g} mm against {millimetres(best.rms):.4g} mm): the measurements do not show"
-            " which of them is the robot; measure poses that differ more"
+            f" {quantity_text(near[0].rms, 'mm', '.4g')} against {quantity_text(best.rms, 'mm', '.4g')}): the"
+            " measurements do not show which of them is the robot; measure poses that differ more"
         )

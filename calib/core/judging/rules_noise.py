@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.core.base.memoize import memoize
-from calib.core.base.units import millimetres, quantity_text
+from calib.core.base.units import ERROR_UNIT, quantity_text
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import LARGE_NOISE
 from calib.core.fitting.mistaken_readings import errors_of_parts, jumbled_errors, mistaken_readings
@@ -45,9 +45,9 @@ def noise(fit: Fit) -> Iterator[Reason]:
     sigma, spread = fit.sigma, _spread(fit)
     if sigma > LARGE_NOISE * spread:
         yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
-            f"no fit: residuals of {millimetres(sigma):.4g} mm per axis, where the positions spread over"
-            f" {millimetres(spread):.4g} mm. Check units, axes, joint order and signs, and whether joint values and"
-            " positions of each row belong together",
+            f"no fit: residuals of {quantity_text(sigma, 'mm', '.4g')} per axis, where the positions spread over"
+            f" {quantity_text(spread, 'mm', '.4g')}. Check units, axes, joint order and signs, and whether joint values"
+            " and positions of each row belong together",
             answer=_first_answer(fit),
         )
     elif fit.computed:
@@ -108,7 +108,7 @@ def misread(fit: Fit) -> Iterator[Reason]:
 
 def noise_in_words(estimate: NoiseEstimate, size: float, digits: int = 3) -> str:
     """Return a noise [SI] in the unit of its group."""
-    return quantity_text(size, estimate.group.part.dimension, f".{digits}g")
+    return quantity_text(size, ERROR_UNIT[estimate.group.part.dimension], f".{digits}g")
 
 
 def _group_noise_in_words(fit: Fit, estimate: NoiseEstimate) -> str:
@@ -168,8 +168,8 @@ def _no_fit_reason(fit: Fit, estimate: NoiseEstimate) -> Reason:
         text = f"noise found{of} is {times:.1f} times what was stated ({_stated_noise_text(estimate)})"
     return Code.NOISE.says(
         f"{text}: the model does not explain the measurements; a healthy robot does not leave more than"
-        f" {100 * _most(estimate):g} % of the measured space ({millimetres(_spread(fit)):.4g} mm): check units, joint"
-        " order and signs, and outliers; if all of it is noise, state that noise (--sigma-mm)",
+        f" {100 * _most(estimate):g} % of the measured space ({quantity_text(_spread(fit), 'mm', '.4g')}): check units,"
+        " joint order and signs, and outliers; if all of it is noise, state that noise (--sigma-mm)",
         grade="FAIL",
         answer=_first_answer(fit),
     )

@@ -10,7 +10,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.memoize import memoize
 from calib.core.base.parameter import Parameter
-from calib.core.base.units import PER_SI
+from calib.core.base.units import quantity_text
 from calib.core.base.words import joints_named, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import unmoved_joints
@@ -355,7 +355,7 @@ def loose(fit: Fit) -> Iterator[Reason]:
     """List angles that are hardly determined."""
     free = [p for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use]
     loose = [
-        f"{p.name} (+-{PER_SI['angle']['deg'] * std:.1f} deg)"
+        f"{p.name} (+-{quantity_text(std, 'deg', '.1f')})"
         for p, std in zip(free, fit.statistics.std, strict=True)
         if p.dimension == "angle" and std > LOOSE_ANGLE
     ]

@@ -10,7 +10,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, evenly_spread
 from calib.core.base.memoize import memoize
 from calib.core.base.tolerances import stated_tolerance
-from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
+from calib.core.base.units import DISPLAY_UNIT, quantity_text
 from calib.core.base.words import count_noun, joints_named, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.joint_conventions import wrapped_terms
@@ -63,11 +63,11 @@ def check_joint_motion(fit: Fit) -> Iterator[Reason]:
         if away > _well_known(fit, at_used):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
-            reach = quantity_text(float(np.ptp(data.joints[:, j])), dimension, ".2g", DISPLAY_UNIT)
+            reach = quantity_text(float(np.ptp(data.joints[:, j])), DISPLAY_UNIT[dimension], ".2g")
             yield Code.JOINT_MOVED_LITTLE.says(
                 f"{joints_named(name)} moved through only {reach}. Positions are known to"
-                f" {millimetres(at_used):.2g} mm at the poses used, but to {millimetres(away):.2g} mm RMS where it"
-                " moves further. Measure poses that move it through its range"
+                f" {quantity_text(at_used, 'mm', '.2g')} at the poses used, but to {quantity_text(away, 'mm', '.2g')}"
+                " RMS where it moves further. Measure poses that move it through its range"
             )
 
 
@@ -79,9 +79,9 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
     away = float(np.median(fit.validation_uncertainty.reported_distance))
     if away > _well_known(fit, at_used):
         yield Code.VALIDATED_ELSEWHERE.says(
-            f"validation poses lie far from the poses used: positions are known to {millimetres(away):.2g} mm there,"
-            f" but to {millimetres(at_used):.2g} mm RMS at the poses used. Measure there too, and validate among the"
-            " poses used"
+            f"validation poses lie far from the poses used: positions are known to {quantity_text(away, 'mm', '.2g')}"
+            f" there, but to {quantity_text(at_used, 'mm', '.2g')} RMS at the poses used. Measure there too, and"
+            " validate among the poses used"
         )
 
 
@@ -213,8 +213,8 @@ def _widening_sentence(fit: Fit, sample: Callable[[], FloatArray]) -> str:
     away, known = _size(slope, covariance), np.append(terms, np.zeros(len(covariance) - len(terms), dtype=bool))
     if away <= _well_known(fit, at_used) or away <= WIDENED * _size(slope, _covariance_given(covariance, known)):
         return ""
-    used = f"{millimetres(at_used):.2g} mm at the poses used"
-    return f"{millimetres(away):.2g} mm RMS there, and to {used}, not counting base and tool"
+    used = f"{quantity_text(at_used, 'mm', '.2g')} at the poses used"
+    return f"{quantity_text(away, 'mm', '.2g')} RMS there, and to {used}, not counting base and tool"
 
 
 def _slope(fit: Fit, q: FloatArray, context: Context | None = None) -> FloatArray:
@@ -260,7 +260,7 @@ def check_tolerance(fit: Fit, claim: Claim) -> Iterator[Reason]:
     if not known:
         return
     path = min(known, key=lambda name: known[name])
-    measured, allowed = claim.at_measured_poses, f"the tolerance of {millimetres(known[path]):.4g} mm ({path})"
+    measured, allowed = claim.at_measured_poses, f"the tolerance of {quantity_text(known[path], 'mm', '.4g')} ({path})"
     if not measured.is_position or measured.dimension != "length":
         yield Code.TOLERANCE.says(
             f"it is not known whether the tool is within {allowed}: positions were not measured", answer=Answer.LOOK

@@ -8,7 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from calib.core.base.contributions import Contributions, names_of
-from calib.core.base.units import display_unit, error_unit, millimetres
+from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, in_unit, millimetres, quantity_text
 from calib.core.base.words import as_data, count_noun, listing, plain_text, text_table
 from calib.core.fitting.error_sets import error_table
 from calib.core.judging.acceptance import Acceptance
@@ -127,16 +127,16 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
     """Return changes in mm and deg."""
     rows = []
     for change in changes:
-        unit, scale = display_unit(change.dimension)
-        sizes = {"value": change.value * scale, "std": change.std * scale, "visible": change.visible * scale}
+        unit = DISPLAY_UNIT[change.dimension]
+        sizes = {key: in_unit(getattr(change, key), unit) for key in ("value", "std", "visible")}
         chances = {"z": change.z, "p_value": change.p_value, "significant": change.significant}
         rows.append({"name": change.name, "unit": unit, **sizes, **chances})
     return rows
 
 
 def _iso_as_data(iso: IsoFigure) -> dict[str, object]:
-    unit, scale = _iso_unit(iso)
-    numbers = {key: getattr(iso.figure, key) * scale for key in ("value", "low95", "high95")}
+    unit = _iso_unit(iso)
+    numbers = {key: in_unit(getattr(iso.figure, key), unit) for key in ("value", "low95", "high95")}
     return {"name": iso.name, "poses": iso.poses, "cycles": iso.cycles, "unit": unit, **numbers}
 
 
@@ -166,7 +166,7 @@ def _errors(acceptance: Acceptance) -> list[str]:
             f"Position errors over {count_noun(data.n_poses, 'pose')}: {rms:.4f} mm RMS,"
             f" {table['max']:.4f} mm at worst; expected{with_it}: {promised:.4f} mm RMS (noise {noise:.4f} mm,"
             f" uncertainty of the calibration {left_open:.4f} mm); an unchanged robot"
-            f" exceeds {millimetres(acceptance.limit):.4f} mm RMS in 1 of {1 / UNLIKELY:.0f} cases"
+            f" exceeds {quantity_text(acceptance.limit, 'mm', '.4f')} RMS in 1 of {1 / UNLIKELY:.0f} cases"
         )
         times = rms / promised
         if (times > 1.0) != (acceptance.ratio > 1.0) and abs(times - acceptance.ratio) > _APART:
@@ -181,10 +181,9 @@ def _drift(acceptance: Acceptance) -> list[str]:
     if not acceptance.changes:
         return []
     first = acceptance.changes[0]
-    unit, scale = display_unit(first.dimension)
-    half = acceptance.coverage_factor * first.std
-    low, high = ((first.value + side * half) * scale for side in (-1.0, 1.0))
-    size = f"{first.value * scale:+.4f} {unit} (standard deviation {first.std * scale:.4f})"
+    unit, half = DISPLAY_UNIT[first.dimension], acceptance.coverage_factor * first.std
+    low, high = (in_unit(first.value + side * half, unit) for side in (-1.0, 1.0))
+    size = f"{quantity_text(first.value, unit, '+.4f')} (standard deviation {in_unit(first.std, unit):.4f})"
     interval = f"95 %: {low:+.4f} to {high:+.4f}"
     if acceptance.p_drift >= FALSE_ALARM / 2:
         largest = f"the largest, of {first.name}, has p = {acceptance.p_drift:.2g}"
@@ -213,8 +212,8 @@ def _changes(changes: Sequence[Change], *, with_values: bool = True) -> Table:
     left, heads = ("change of", "unit"), ("std", "detectable")
     table = text_table((*left, *(("found",) if with_values else ()), *heads), left, plain=True)
     for change in changes[:_SHOWN]:
-        unit, scale = display_unit(change.dimension)
-        numbers = [x * scale for x in (*((change.value,) if with_values else ()), change.std, change.visible)]
+        unit, sizes = DISPLAY_UNIT[change.dimension], (change.value, change.std, change.visible)
+        numbers = [in_unit(x, unit) for x in (sizes if with_values else sizes[1:])]
         table.add_row(change.name, unit, *("" if np.isnan(x) else f"{x:.4f}" for x in numbers))
     return table
 
@@ -223,11 +222,10 @@ def _iso_table(figures: Sequence[IsoFigure]) -> Table:
     left = ("figure", "pose", "unit")
     table = text_table((*left, "cycles", "value", "low 95 %", "high 95 %"), left, plain=True)
     for iso in figures:
-        unit, scale = _iso_unit(iso)
-        numbers = (iso.figure.value, iso.figure.low95, iso.figure.high95)
-        table.add_row(iso.name, iso.poses, unit, str(iso.cycles), *(f"{x * scale:.4f}" for x in numbers))
+        unit, numbers = _iso_unit(iso), (iso.figure.value, iso.figure.low95, iso.figure.high95)
+        table.add_row(iso.name, iso.poses, unit, str(iso.cycles), *(f"{in_unit(x, unit):.4f}" for x in numbers))
     return table
 
 
-def _iso_unit(iso: IsoFigure) -> tuple[str, float]:
-    return error_unit("angle" if iso.is_angle else "length")
+def _iso_unit(iso: IsoFigure) -> str:
+    return ERROR_UNIT["angle" if iso.is_angle else "length"]

@@ -14,7 +14,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.other_words import HintedObject
 from calib.core.base.registry import load_entry
-from calib.core.base.units import error_scale
+from calib.core.base.units import ERROR_UNIT, in_unit
 from calib.core.base.words import count_noun, html_with_title, listing
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Poses
@@ -232,13 +232,13 @@ def reading_keys(instrument: str, joints: FloatArray, values: FloatArray) -> lis
 
 def _squared_errors(errors: ErrorSet) -> dict[bytes, float]:
     first, data, result = errors.parts()[0][1], errors.data, dict[bytes, float]()
-    scale = error_scale(first.dimension)
     same = [part for part in errors.parts() if (part[1].name, part[1].dimension) == (first.name, first.dimension)]
     rows_of = {instrument.name: rows for instrument, _, rows in same}
     for name, readings in data.readings.items():
         squares = np.full(len(readings), np.nan)
         if name in rows_of:
-            squares = np.nansum((scale * errors.after[name][:, rows_of[name]]) ** 2, axis=1)
+            shown = in_unit(errors.after[name][:, rows_of[name]], ERROR_UNIT[first.dimension])
+            squares = np.nansum(shown**2, axis=1)
         keys = reading_keys(name, data.joints[readings.visits], readings.values)
         result |= dict(zip(keys, squares.tolist(), strict=True))
     return result

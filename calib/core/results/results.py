@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.files import write_folder
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import ERROR_UNIT, error_scale
+from calib.core.base.units import ERROR_UNIT, in_unit
 from calib.core.data.measurement_columns import header, in_table_unit, joint_columns
 from calib.core.data.table_writing import format_table
 from calib.core.fitting.error_sets import STATES, ErrorSet
@@ -169,7 +169,7 @@ def _residual_columns(
     axes = [(axis, part.dimension) for part in instrument.parts for axis in part.axes]
     for state in STATES:
         for (axis, dimension), errors in zip(axes, getattr(error_set, state)[name].T, strict=True):
-            columns[f"error_{state}_{axis} [{ERROR_UNIT[dimension]}]"] = error_scale(dimension) * errors
+            columns[f"error_{state}_{axis} [{ERROR_UNIT[dimension]}]"] = in_unit(errors, ERROR_UNIT[dimension])
     dimensions = instrument.columns()
     for column, numbers in instrument.cells(readings.values).items():
         head = header(f"measured_{column.removeprefix(f'{name}_')}", dimensions[column])

@@ -18,7 +18,7 @@ import scipy
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.files import read_text
-from calib.core.base.units import display_scale, error_scale, per_si
+from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, from_unit, per_si
 from calib.core.data.parameter_files import read_parameters
 from calib.core.data.tables import Table, read_table
 from calib.core.fitting.estimates import Covariance, Estimate, Estimates
@@ -85,14 +85,14 @@ def _files(content: dict[str, Any]) -> list[tuple[Holds, dict[str, Any]]]:
 
 def _file_robot(folder: str, entry: dict[str, Any], holds: Holds, robot: Robot) -> FileRobot:
     errors = [np.nan if entry[key] is None else float(entry[key]) for key in ("rms_nominal", "rms", "limit95")]
-    scale, zeros, name = error_scale(entry["dimension"]), entry["joint_zeros"] or (), entry["values"]
-    before, rms, limit95 = (error / scale for error in errors)
+    zeros, name = entry["joint_zeros"] or (), entry["values"]
+    before, rms, limit95 = (from_unit(error, ERROR_UNIT[entry["dimension"]]) for error in errors)
     poses, number, part = PoseUse[entry["poses"].upper()], int(entry["n_poses"]), str(entry["part"])
     accuracy = Accuracy(poses, number, part, entry["dimension"], before, rms, limit95)
     if zeros:
         signs = np.array([float(zero["sign"]) for zero in zeros])
-        units = [display_scale(robot.mechanism.dimensions[zero["joint"]]) for zero in zeros]
-        offsets = np.array([float(zero["offset"]) for zero in zeros]) / units
+        units = [DISPLAY_UNIT[robot.mechanism.dimensions[zero["joint"]]] for zero in zeros]
+        offsets = np.array([from_unit(float(zero["offset"]), unit) for zero, unit in zip(zeros, units, strict=True)])
         return FileRobot({}, accuracy, entry["withheld"] or "", signs, offsets)
     values = robot.values_by_name
     if name is not None:
@@ -216,7 +216,7 @@ class EarlierResult(LoadedResult):
         blocks = {block["name"]: [part["name"] for part in block["parts"]] for block in self.content["instruments"]}
         read = [part for name in blocks for part in self.robot.instrument(name).parts if part.name in blocks[name]]
         part, shown = next((p for p in read if p.is_position), read[0]), self.errors[name]["after"]["rms"]
-        return np.nan if shown is None else float(shown) / error_scale(part.dimension)
+        return np.nan if shown is None else from_unit(float(shown), ERROR_UNIT[part.dimension])
 
     @property
     @_readable
@@ -225,10 +225,10 @@ class EarlierResult(LoadedResult):
         content, sigma = self.content, dict[tuple[str, str], float]()
         for block in content["instruments"]:
             instrument = self.robot.instrument(block["name"])
-            dimensions = {part.name: part.dimension for part in instrument.parts}
+            units = {part.name: ERROR_UNIT[part.dimension] for part in instrument.parts}
             for part in block["parts"]:
                 if part["sigma"] is not None:
-                    sigma[instrument.group, part["name"]] = float(part["sigma"]) / error_scale(dimensions[part["name"]])
+                    sigma[instrument.group, part["name"]] = from_unit(float(part["sigma"]), units[part["name"]])
         shared = 1.0 if content["shared"] is None else float(content["shared"])
         numbers = (float(content["degrees_of_freedom"]), sigma, shared, float(content["effective_parameters"]))
         names = np.array(self._residuals.text("pose"))[np.array(self._residuals.text("set")) == "identification"]

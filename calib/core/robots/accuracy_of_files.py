@@ -16,7 +16,7 @@ from enum import Enum
 import numpy as np
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
-from calib.core.base.units import Dimension, quantity_text
+from calib.core.base.units import ERROR_UNIT, Dimension, quantity_text
 from calib.core.base.words import count_noun
 from calib.core.robots.terms.term import JointTerm
 
@@ -83,7 +83,7 @@ class Accuracy:
 
     def in_unit(self, error: float) -> str:
         """Return an error [SI] with its unit."""
-        return quantity_text(error, self.dimension, ".4f")
+        return quantity_text(error, ERROR_UNIT[self.dimension], ".4f")
 
     @property
     def words(self) -> str:

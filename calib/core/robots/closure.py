@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.units import DISPLAY_UNIT, quantity_text
+from calib.core.base.units import quantity_text
 from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.robots import kinematics
@@ -124,8 +124,8 @@ def loop_openings(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray,
 
 def gap_text(length: float, angle: float, form: str = "") -> str:
     """Say a gap in mm, and in degrees where a loop's directions do not agree, in a form if it is given."""
-    turned = f" and {quantity_text(angle, 'angle', form or '.3g', DISPLAY_UNIT)}" if angle > 0 else ""
-    return quantity_text(length, "length", form or ".3f") + turned
+    turned = f" and {quantity_text(angle, 'deg', form or '.3g')}" if angle > 0 else ""
+    return quantity_text(length, "mm", form or ".3f") + turned
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, hold
 from calib.core.base.errors import DescriptionError
-from calib.core.base.units import Dimension, display_unit
+from calib.core.base.units import DISPLAY_UNIT, Dimension, in_unit
 from calib.core.base.words import joints_named
 from calib.core.numerics import linalg
 from calib.core.robots.closure import (
@@ -177,8 +177,8 @@ def _joint_beyond_limits(mechanism: Mechanism, passive: FloatArray) -> str:
     excess = np.maximum(mechanism.lower - passive, passive - mechanism.upper)
     worst = int(np.argmax(excess))
     dimension: Dimension = "length" if mechanism.is_metre_column[worst] else "angle"
-    unit, factor = display_unit(dimension)
-    value, low, high = (factor * float(x[worst]) for x in (passive, mechanism.lower, mechanism.upper))
+    unit = DISPLAY_UNIT[dimension]
+    value, low, high = (in_unit(float(x[worst]), unit) for x in (passive, mechanism.lower, mechanism.upper))
     return (
         f"passive {joints_named(mechanism.passive[worst])} at {value:.4g} {unit}, beyond its limits"
         f" ({low:.4g} to {high:.4g} {unit})"

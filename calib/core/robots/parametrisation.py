@@ -130,7 +130,7 @@ def result_use(description: Description) -> ResultUse | None:
 
 def default_sections() -> tuple[OriginSection, ...]:
     """Return the entries for a plain URDF: every component of every origin that moves a target, with default priors."""
-    length, angle = quantity_text(DEFAULT_LENGTH_SIGMA, "length", "g"), quantity_text(DEFAULT_ANGLE_SIGMA, "angle", "g")
+    length, angle = quantity_text(DEFAULT_LENGTH_SIGMA, "mm", "g"), quantity_text(DEFAULT_ANGLE_SIGMA, "mrad", "g")
     entries = ((LENGTH_COMPONENTS, length), (ANGLE_COMPONENTS, angle))
     return tuple(OriginSection(origin="all", components=components, sigma=sigma) for components, sigma in entries)
 

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadAsArray, ReadOnlyArrays, evenly_spread, hold
 from calib.core.base.contributions import Contributions
-from calib.core.base.units import millimetres
+from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.numerics import linalg
 from calib.core.robots.acceleration import compile_for, many
@@ -122,8 +122,8 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         frame = f"; {self.frame}" if self.frame else ""
         if self.measured is not None and self.measured.summary()["mean"] > _DIFFERS * self.summary()["mean"]:
             frame += f" (in the measurement frame to {self.measured.summary()['mean']:.2g} mm on average)"
-        mean = np.mean(millimetres(self.distance), axis=0)
-        texts = [f"{name} (known to {mean[k]:.2g} mm)" for name, k in self.left_out.items()]
+        mean = np.mean(self.distance, axis=0)
+        texts = [f"{name} (known to {quantity_text(mean[k], 'mm', '.2g')})" for name, k in self.left_out.items()]
         return frame + (f"; not counted: {listing(texts)}, seen only from unknown places" if texts else "")
 
     def table(self) -> dict[str, object]:

@@ -20,7 +20,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, random_numbers
 from calib.core.base.errors import DataError, UnreachablePoseError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import millimetres, sigma_in_si
+from calib.core.base.units import quantity_text, sigma_in_si
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Measurements, Poses, directions_of_motion, measurements, readings_of_visits
 from calib.core.instruments.kind import Instrument, Readings
@@ -128,7 +128,7 @@ def unstated_noise(robot: Robot, sigma: float | None) -> list[str]:
 def _noise_in_words(robot: Robot, sigma: float | None) -> str:
     if sigma is None:
         return "noise as the description states it"
-    words = f"normal noise, sigma {millimetres(sigma):g} mm per axis"
+    words = f"normal noise, sigma {quantity_text(sigma, 'mm', 'g')} per axis"
     if sigma == 0 or all(part.is_position for instrument in robot.instruments for part in instrument.parts):
         return words
     return f"{words} of positions, other noise as the description states it"
@@ -203,7 +203,7 @@ def _require_contact(poses: Poses, misses: FloatArray) -> None:
     if misses[worst] >= MET:
         raise UnreachablePoseError(
             f"{poses.labels[worst]}{f' and {more} more' if more else ''}: no contact was found near these joint"
-            f" values; the nearest misses it by {millimetres(misses[worst]):.3g} mm; start nearer to contact"
+            f" values; the nearest misses it by {quantity_text(misses[worst], 'mm')}; start nearer to contact"
         )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
+from calib.core.base.units import quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import Output, shared_options
 from calib.core.data.table_writing import format_table
@@ -142,10 +143,9 @@ def summary(detection: Detection) -> list[str]:
         )
     spreads = camera_rotation_spread(detection)
     if np.all(np.isfinite(spreads)):
-        first, second, _ = np.rad2deg(spreads)
+        first, second = (quantity_text(spread, "deg", ".0f") for spread in spreads[:2])
         lines.append(
-            f"The robot turned the view of the board by about {first:.0f} deg about one axis, and by {second:.0f} deg"
-            " about a second"
+            f"The robot turned the view of the board by about {first} about one axis, and by {second} about a second"
         )
         if spreads[1] < LITTLE_TURN:
             lines.append(

@@ -15,7 +15,8 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.contributions import names_of
 from calib.core.base.errors import ComputationError, DataError, InputError, nearest
 from calib.core.base.files import write_folder
-from calib.core.base.words import listing
+from calib.core.base.units import quantity_text
+from calib.core.base.words import json_file, listing
 from calib.core.commands.common import Output, load_robot, shared_options
 from calib.core.data.tables import read_table
 from calib.core.instruments.board import Board
@@ -26,7 +27,7 @@ from calib.photographs.commands.detect import detect_board, nothing_found, summa
 from calib.photographs.detection import DetectedImage
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.hand_eye_calibration import calibrate, require_images
-from calib.photographs.hand_eye_result import Frames, as_json, content, files, judge, report, transform_files
+from calib.photographs.hand_eye_result import Frames, content, files, judge, report, transform_files
 from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.lens_choice import LENSES
 from calib.photographs.mistakes import Mistake
@@ -211,7 +212,7 @@ def _write_pairs(result: PosePairs, frames: Frames, out: str, output: Output) ->
     judgement = judge_pairs(result)
     output.say(report_pairs(result, frames))
     data = content_of_pairs(result, frames)
-    written = {"hand_eye.json": as_json(data)}
+    written = {"hand_eye.json": json_file(data)}
     whole = result.is_determined and (judgement.grade != "FAIL" or output.force)
     if whole:
         written |= transform_files(result.camera.pose, result.mount, frames)
@@ -279,13 +280,13 @@ def _read_detected(path: str, board: Board) -> list[DetectedImage]:
 def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedImage], small: dict[str, bytes]) -> bytes:
     scene, images = result.scene, {image.name: image for image in detected_images}
     factor = exaggeration(result.pixels, scene.size[0])
-    each, on = result.rms_by_image(result.pixels), 1e3 * result.rms_by_image(result.board)
+    each, on = result.rms_by_image(result.pixels), result.rms_by_image(result.board)
     figures = []
     for i, name in enumerate(scene.names):
         points = scene.image == i
         arrows = scene.pixels[points] + factor * result.pixels[points]
         shown = replace(images[name], pixels=scene.pixels[points])
-        caption = f"{each[i]:.2f} px, {on[i]:.2f} mm on the board"
+        caption = f"{each[i]:.2f} px, {quantity_text(on[i], 'mm', '.2f')} on the board"
         figures.append((i, figure(shown, small.get(name, b""), caption, arrows)))
     for image in result.outlying_images:  # they belong to no mark of a plot
         caption = f"left out: {image.rms_px:.1f} px off"

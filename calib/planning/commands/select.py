@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.core.base.errors import ComputationError, InputError, NotIdentifiableError, nearest
 from calib.core.base.files import write_folder
-from calib.core.base.units import metres, millimetres
+from calib.core.base.units import from_unit, quantity_text
 from calib.core.commands.common import (
     SIGMA_HELP,
     Output,
@@ -154,7 +154,7 @@ def command(
             measured=done,
             task=None if task is None else read_poses(task, model),
             exclude=() if exclude is None else _candidate_numbers(exclude, poses),
-            minimum_distance=metres(min_distance_mm),
+            minimum_distance=from_unit(min_distance_mm, "mm"),
             random_start=start == "random",
             starts=starts,
             seed=seed,
@@ -166,7 +166,7 @@ def command(
         if goal_mm is None:
             selection = choose(_counts(str(count)), index)
         else:
-            selection = _reaching(choose, metres(goal_mm), len(poses))
+            selection = _reaching(choose, from_unit(goal_mm, "mm"), len(poses))
     output.write(out, format_poses(model, selection, poses, table))
     if plots is not None:
         write_folder(plots, figures(selection), force=output.force)
@@ -188,7 +188,8 @@ def _reaching(choose: Callable[[int, str], Selection], goal: float, most: int) -
                 return selection
     raise ComputationError(
         f"no choice of up to {min(most, _TRIED[-1])} candidates brings the predicted error below"
-        f" {millimetres(goal):g} mm (the best: {millimetres(left):.3g} mm); give more candidates, or less noise"
+        f" {quantity_text(goal, 'mm', 'g')} (the best: {quantity_text(left, 'mm')}); give more candidates, or less"
+        " noise"
     )
 
 

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError
-from calib.core.base.units import PER_SI, millimetres
+from calib.core.base.units import in_unit, millimetres
 from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import Output, load_robot, result_folder, shared_options
 from calib.core.data.measurement_columns import (
@@ -233,7 +233,7 @@ def _poses_to_command(robot: Robot, program: Goals, compensation: Compensation) 
     name = compensation.target
     shown = {f"{name}_{axis} [mm]": millimetres(positions[:, k]) for k, axis in enumerate("xyz")}
     if program.rotations is not None:
-        angles = _rpy(rotations) * PER_SI["angle"]["deg"]
+        angles = in_unit(_rpy(rotations), "deg")
         shown |= {f"{name}_r{axis} [deg]": angles[:, k] for k, axis in enumerate("xyz")}
     if program.directions is not None:
         shown |= {f"{name}_a{axis}": rotations[:, k, 2] for k, axis in enumerate("xyz")}
@@ -275,15 +275,15 @@ def _compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:
         raise InputError(f"--grid '{grid}': write three numbers of nodes, such as 5,5,3") from None
     with job.output.working("compensating the grid"):
         corrections = correction_grid(job.robot_knowledge, program, (nx, ny, nz))
-    compensation, degrees = corrections.compensation, PER_SI["angle"]["deg"]
+    compensation = corrections.compensation
     parts = [
         (f"{compensation.target}_{{}} [mm]", millimetres(corrections.nodes)),
         ("add_{} [mm]", millimetres(corrections.shift)),
     ]
     if program.rotations is not None:
-        parts.append(("turn_{} [deg]", corrections.turn * degrees))
+        parts.append(("turn_{} [deg]", in_unit(corrections.turn, "deg")))
     columns = [(name.format(axis), cells_of(values[:, k])) for name, values in parts for k, axis in enumerate("xyz")]
-    off, angle = summary(millimetres(corrections.position_errors)), summary(corrections.angle_errors * degrees)
+    off, angle = summary(millimetres(corrections.position_errors)), summary(in_unit(corrections.angle_errors, "deg"))
     worst = f"{off['max']:.4f} mm and {angle['max']:.4f} deg at worst"
     wrong = f"linear interpolation is off by {off['rms']:.4f} mm (RMS), {worst}"
     kept = compensation.nothing_to_correct

@@ -12,7 +12,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError
 from calib.core.base.files import write_files
 from calib.core.base.own_files import GCODE_COMMENT
-from calib.core.base.units import millimetres, quantity
+from calib.core.base.units import from_unit, millimetres, quantity, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import Output
 from calib.programs.commands.report import Figures, Job, figures_of, no_correction_sentence, summary
@@ -122,11 +122,12 @@ def _remarks(compensated: CompensatedProgram, figures: Figures) -> list[str]:
             f"Rounding to the file's decimals moves the tool by {figures['rounding_mm']['max']:.4f} mm at worst"
         )
     if compensated.lever > 1e-6 and "expected_angle_mrad" in figures:
-        far = millimetres(compensated.lever)
-        most = figures["expected_mm"]["rms"] + far * figures["expected_angle_mrad"]["rms"] / 1e3
+        turned = from_unit(figures["expected_angle_mrad"]["rms"], "mrad")
+        most = figures["expected_mm"]["rms"] + millimetres(compensated.lever) * turned
         lines.append(
-            f"These figures are for target '{compensation.target}'. The program's tool tips are up to {far:.1f} mm from"
-            f" it; there the expected error is at most {most:.4f} mm (RMS)"
+            f"These figures are for target '{compensation.target}'. The program's tool tips are up to"
+            f" {quantity_text(compensated.lever, 'mm', '.1f')} from it; there the expected error is at most {most:.4f}"
+            " mm (RMS)"
         )
     if program.left_out:
         lines.append(f"{count_noun(len(program.left_out), 'place')} not compensated, listed above")

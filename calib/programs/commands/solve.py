@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.core.base.arrays import IntArray
 from calib.core.base.contributions import names_of
-from calib.core.base.units import micrometres, millimetres
+from calib.core.base.units import in_unit, millimetres, quantity_text
 from calib.core.commands.common import (
     Output,
     failure_lines,
@@ -102,7 +102,7 @@ def command(
     )
     lines = [
         f"{len(reached)} of {len(goals)} goals reached ({goals.asks_for}), largest miss"
-        f" {micrometres(float(np.max(solution.miss_position[reached]))):.1e} um; written to {out}"
+        f" {quantity_text(solution.miss_position[reached].max(), 'um', '.1e')}; written to {out}"
     ]
     if folder:
         lines += _expected_error_lines(solution, reached, source)
@@ -146,7 +146,7 @@ def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, obje
             "pose": name,
             "reached": bool(solution.ok[k]),
             "miss_mm": millimetres(float(solution.miss_position[k])),
-            "miss_deg": float(np.degrees(solution.miss_angle[k])),
+            "miss_deg": in_unit(float(solution.miss_angle[k]), "deg"),
             "joints": {joint: float(values[k]) for joint, values in joints.items()} if solution.ok[k] else None,
             **{f"{figure}_{unit}": float(values[k]) for (figure, unit), values in expected.items()},
         }

@@ -17,6 +17,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError
+from calib.core.base.units import quantity_text
 from calib.core.base.words import count_noun
 from calib.core.data.measurements import Poses
 from calib.core.robots.robot import Robot
@@ -199,7 +200,7 @@ def _remark_on_configuration(
     if now <= max(was, 0.0) + _JUST:
         return []
     over = [j for j, (low, high) in says.ranges.items() if j < len(command) and not low <= command[j] <= high]
-    names = ", ".join(f"{cell.robot.joint_names[j]} at {np.degrees(command[j]):.4f} deg" for j in over)
+    names = ", ".join(f"{cell.robot.joint_names[j]} at {quantity_text(command[j], 'deg', '.4f')}" for j in over)
     return [
         f"{target.label}: its configuration ({says.text}) is unchanged, but no longer fits the joint values"
         f" ({names or 'another side'}); correct it"

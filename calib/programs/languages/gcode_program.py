@@ -13,11 +13,11 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
-from calib.core.base.units import PER_SI
+from calib.core.base.units import from_unit
 
 ROUNDING = 1e-7
 """Largest error of written points from their limited decimals [m]."""
-MILLIMETRE, INCH = 1 / PER_SI["length"]["mm"], 25.4 / PER_SI["length"]["mm"]
+MILLIMETRE, INCH = from_unit(1.0, "mm"), from_unit(25.4, "mm")
 """Units of programs [m]."""
 _DECIMALS = {MILLIMETRE: 4, INCH: 6}
 _E_DECIMALS = 5

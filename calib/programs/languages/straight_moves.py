@@ -28,7 +28,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import ComputationError, DataError, InputError, UnreachablePoseError
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.robots.parametrisation import result_use
 from calib.core.robots.robot import Robot
@@ -239,7 +239,7 @@ def _require_length(
     """Raise `ComputationError` for a move whose pieces, of `lengths` (n_active,) [m], would be too short."""
     for k in np.flatnonzero(lengths < _SHORTEST)[:1]:
         raise ComputationError(
-            f"{moves.labels[active[k]]}: off by {millimetres(float(off[k])):.4f} mm between points, and pieces of"
-            f" {millimetres(_SHORTEST):g} mm do not bring that below {millimetres(tolerance):g} mm; the robot is near a"
-            " singular pose there: keep away from it, or allow more"
+            f"{moves.labels[active[k]]}: off by {quantity_text(off[k], 'mm', '.4f')} between points, and pieces of"
+            f" {quantity_text(_SHORTEST, 'mm', 'g')} do not bring that below {quantity_text(tolerance, 'mm', 'g')}; the"
+            " robot is near a singular pose there: keep away from it, or allow more"
         )

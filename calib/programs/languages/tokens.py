@@ -16,9 +16,9 @@ from typing import Literal, NamedTuple
 
 from calib.core.base.errors import DataError
 from calib.core.base.files import read_bytes
-from calib.core.base.units import PER_SI
+from calib.core.base.units import from_unit
 
-DEGREE, MILLIMETRE = 1 / PER_SI["angle"]["deg"], 1 / PER_SI["length"]["mm"]
+DEGREE, MILLIMETRE = from_unit(1.0, "deg"), from_unit(1.0, "mm")
 _DECIMALS = {1.0: 7, MILLIMETRE: 4, DEGREE: 5, 0: 9}  # least number of decimals, by unit; 0: of a quaternion
 _LARGEST = 1e6
 Span = tuple[int, int]

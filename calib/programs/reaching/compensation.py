@@ -38,7 +38,7 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import InputError, nearest
-from calib.core.base.units import DISPLAY_UNIT, millimetres, quantity_text
+from calib.core.base.units import DISPLAY_UNIT, quantity_text
 from calib.core.data.in_memory import as_poses
 from calib.core.data.measurements import Poses, directions_of_motion
 from calib.core.robots.acceleration import compile_for
@@ -281,8 +281,8 @@ def _reasons(
             _joint_beyond_limits(reach, commands[k], "needed") if reached else ""
         )
         if not (why or reached):
-            degrees = f" and {np.degrees(angle[k]):.3f} deg" if angle[k] > TOLERANCE else ""
-            why = f"is out of reach by {millimetres(float(miss[k])):.3f} mm{degrees}"
+            degrees = f" and {quantity_text(angle[k], 'deg', '.3f')}" if angle[k] > TOLERANCE else ""
+            why = f"is out of reach by {quantity_text(miss[k], 'mm', '.3f')}{degrees}"
         result.append(why or ("" if closed[k] else "cannot be reached from home in its assembly mode"))
     return result
 
@@ -297,5 +297,5 @@ def _joint_beyond_limits(reach: Reach, q: FloatArray, what: str) -> str:
     name = reach.mechanism.actuated[j]
     dimension = reach.mechanism.dimensions[name]
     limit = reach.upper[j] if q[j] > reach.upper[j] else reach.lower[j]
-    value, bound = (quantity_text(float(x), dimension, ".3f", DISPLAY_UNIT) for x in (q[j], limit))
+    value, bound = (quantity_text(float(x), DISPLAY_UNIT[dimension], ".3f") for x in (q[j], limit))
     return f"is past the limit of joint '{name}': {value} {what}, {bound} allowed"

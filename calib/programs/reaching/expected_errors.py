@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.contributions import Contributions, names_of
-from calib.core.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.core.base.units import ERROR_UNIT, in_unit
 from calib.core.robots.terms.term import Context
 from calib.core.rows.common_motion import target_poses
 from calib.core.rows.prediction import length95, rms_length
@@ -91,10 +91,10 @@ def shown_errors(names: Sequence[str], parts: Sequence[Sequence[FloatArray]]) ->
 
     `parts` are errors of positions, each (n,) [m]; then of orientations, if these count, each (n,) [rad].
     """
-    kinds: tuple[tuple[str, Dimension], ...] = (("", "length"), ("_angle", "angle"))
+    kinds = (("", ERROR_UNIT["length"]), ("_angle", ERROR_UNIT["angle"]))
     return {
-        (f"{name}{ending}", ERROR_UNIT[dimension]): error_scale(dimension) * values
-        for (ending, dimension), part in zip(kinds, parts, strict=False)
+        (f"{name}{ending}", unit): in_unit(values, unit)
+        for (ending, unit), part in zip(kinds, parts, strict=False)
         for name, values in zip(names, part, strict=True)
     }
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, numbers_in
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError, nearest
-from calib.core.base.units import millimetres
+from calib.core.base.units import quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.data.measurements import Poses
 from calib.core.robots import loops
@@ -176,7 +176,7 @@ class Solution(ReadOnlyArrays):
 
     def __str__(self) -> str:
         n, reached = len(self.q), int(np.sum(self.ok))
-        worst = f"{millimetres(float(np.max(self.miss_position))):.2g} mm" if n else "nothing"
+        worst = quantity_text(self.miss_position.max(), "mm", ".2g") if n else "nothing"
         following = (
             "send q to the robot, or write it as a file: calib solve ROBOT GOALS --out FILE"
             if reached == n
@@ -200,8 +200,8 @@ class Solution(ReadOnlyArrays):
             return BETWEEN_SIDES
         if length <= TOLERANCE and angle <= TOLERANCE:
             return "can be reached, but no way there was found from home in its assembly mode"
-        return f"misses by {millimetres(length):.3f} mm" + (
-            f" and {np.degrees(angle):.3f} deg" if angle > TOLERANCE else ""
+        return f"misses by {quantity_text(length, 'mm', '.3f')}" + (
+            f" and {quantity_text(angle, 'deg', '.3f')}" if angle > TOLERANCE else ""
         )
 
     def require_all(self) -> None:

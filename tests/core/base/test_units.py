@@ -5,7 +5,16 @@ import math
 import pytest
 
 from calib.core.base.errors import InputError
-from calib.core.base.units import per_si, quantity, split_column
+from calib.core.base.units import (
+    DISPLAY_UNIT,
+    ERROR_UNIT,
+    from_unit,
+    in_unit,
+    per_si,
+    quantity,
+    quantity_text,
+    split_column,
+)
 
 
 @pytest.mark.parametrize(
@@ -25,6 +34,24 @@ from calib.core.base.units import per_si, quantity, split_column
 )
 def test_a_quantity_is_read_exactly_in_si(text, dimension, expected):
     assert quantity(text, dimension, "here") == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "expected"),
+    [
+        (0.178, "mm", 178.0),
+        (40e-6, "um", 40.0),
+        (math.pi, "deg", 180.0),
+        (0.5e-3, "mrad", 0.5),
+        (math.pi / 180, "arcsec", 3600.0),
+        (7200.0, DISPLAY_UNIT["time"], 7200.0),
+        (0.25, ERROR_UNIT["angle"], 250.0),
+    ],
+)
+def test_a_value_is_shown_in_the_unit_that_is_named(value, unit, expected):
+    assert in_unit(value, unit) == pytest.approx(expected, rel=1e-15)
+    assert from_unit(expected, unit) == pytest.approx(value, rel=1e-15)
+    assert quantity_text(value, unit, ".6g") == f"{expected:.6g} {unit}"
 
 
 @pytest.mark.parametrize(

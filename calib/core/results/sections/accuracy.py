@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 from rich.table import Table
 
-from calib.core.base.units import ERROR_UNIT, error_scale
+from calib.core.base.units import ERROR_UNIT, in_unit
 from calib.core.base.words import text_table
 from calib.core.fitting.error_sets import STATES, ErrorSet, error_table
 from calib.core.fitting.fit import errors_on
@@ -107,8 +107,9 @@ def change_text(fit: Fit, claim: Claim | None) -> Table:
             name = f"{part.name} [{ERROR_UNIT[part.dimension]}], {label}"
             table.add_row(name, str(error_set.data.n_poses), *cells)
     if claim is not None and np.isfinite(claim.at_measured_poses.limit95):
-        measured, scale = claim.at_measured_poses, error_scale(claim.at_measured_poses.dimension)
-        before = f"{scale * measured.before:.4f} -> " if np.isfinite(measured.before) else ""
-        name = f"{measured.part} [{ERROR_UNIT[measured.dimension]}], expected"
-        table.add_row(name, "", f"{before}{scale * measured.rms:.4f}", f"{scale * measured.limit95:.4f}", "")
+        measured, unit = claim.at_measured_poses, ERROR_UNIT[claim.at_measured_poses.dimension]
+        sizes = (measured.before, measured.rms, measured.limit95)
+        before, rms, limit95 = (f"{in_unit(size, unit):.4f}" for size in sizes)
+        change = f"{before} -> {rms}" if np.isfinite(measured.before) else rms
+        table.add_row(f"{measured.part} [{unit}], expected", "", change, limit95, "")
     return table

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from calib.core.base.units import ERROR_UNIT, error_scale
+from calib.core.base.units import ERROR_UNIT, in_unit
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
 from calib.core.judging.error_budget import UNEXPLAINED
@@ -24,7 +24,8 @@ def budget_table(fit: Fit) -> dict[str, Any] | None:
     budget = findings.budget(fit)
     if budget is None:
         return None
-    scale = error_scale(budget.part.dimension)
+    unit = ERROR_UNIT[budget.part.dimension]
+    scale = in_unit(1.0, unit)
 
     def row(cause: str, mean_square: float, std: float) -> dict[str, object]:
         positive = mean_square >= 0.0
@@ -41,7 +42,7 @@ def budget_table(fit: Fit) -> dict[str, Any] | None:
     return {
         "set": "identification" if budget.used else "validation",
         "part": budget.part.name,
-        "unit": ERROR_UNIT[budget.part.dimension],
+        "unit": unit,
         "n_readings": budget.n_readings,
         "n_poses": budget.n_poses,
         "rms_before": scale * math.sqrt(budget.before),

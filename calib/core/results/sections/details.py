@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.contributions import Contributions, Uncertainty, names_of
-from calib.core.base.units import ERROR_UNIT, error_scale, quantity_text
+from calib.core.base.units import ERROR_UNIT, in_unit, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.verdict import judge
@@ -94,8 +94,8 @@ def starts_table(fit: Fit) -> dict[str, object] | None:
     """Return the minima that were found from other starts; None without other starts."""
     if fit.starts is None:
         return None
-    scale = error_scale(fit.identification.main_part.dimension)
-    minima = [{"rms": scale * m.rms, "cost": m.cost, "count": m.count} for m in fit.starts.minima]
+    unit = ERROR_UNIT[fit.identification.main_part.dimension]
+    minima = [{"rms": in_unit(m.rms, unit), "cost": m.cost, "count": m.count} for m in fit.starts.minima]
     return {"count": fit.starts.total, "failed": fit.starts.failed, "seed": fit.starts.seed, "minima": minima}
 
 
@@ -103,12 +103,12 @@ def folds_table(fit: Fit) -> dict[str, object] | None:
     """Return the errors of folds that were left out in turn; None without folds."""
     if fit.folds is None:
         return None
-    names = list(fit.nominal.description.setups)
+    names, unit = list(fit.nominal.description.setups), ERROR_UNIT[fit.identification.main_part.dimension]
     return {
         "folds": fit.folds.count,
         "seed": fit.folds.seed,
         "setups": [names[k] for k in fit.folds.setups],
-        "rms": [error_scale(fit.identification.main_part.dimension) * value for value in fit.folds.rms],
+        "rms": [in_unit(value, unit) for value in fit.folds.rms],
         "converged": fit.folds.converged,
     }
 
@@ -117,8 +117,8 @@ def start_lines(fit: Fit) -> list[str]:
     """Return a line with the minima that other starts found; no line without other starts."""
     if fit.starts is None:
         return []
-    dimension = fit.identification.main_part.dimension
-    minima = [f"RMS {quantity_text(m.rms, dimension, '.4f')} from {m.count}" for m in fit.starts.minima]
+    unit = ERROR_UNIT[fit.identification.main_part.dimension]
+    minima = [f"RMS {quantity_text(m.rms, unit, '.4f')} from {m.count}" for m in fit.starts.minima]
     failed = f", {fit.starts.failed} failed" if fit.starts.failed else ""
     return [f"{count_noun(fit.starts.total, 'start')} (seed {fit.starts.seed}): {listing(minima, '; ')}{failed}"]
 
@@ -127,8 +127,8 @@ def fold_lines(fit: Fit) -> list[str]:
     """Return a line with the errors of folds, or setups, that were left out in turn; no line without them."""
     if fit.folds is None:
         return []
-    dimension = fit.identification.main_part.dimension
-    unit, rms = ERROR_UNIT[dimension], [f"{error_scale(dimension) * value:.4f}" for value in fit.folds.rms]
+    unit = ERROR_UNIT[fit.identification.main_part.dimension]
+    rms = [f"{in_unit(value, unit):.4f}" for value in fit.folds.rms]
     if fit.folds.setups:
         names = list(fit.nominal.description.setups)
         each = [f"{names[k]} {value}" for k, value in zip(fit.folds.setups, rms, strict=True)]

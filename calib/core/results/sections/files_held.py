@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.core.base.units import display_unit, error_unit
+from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, in_unit
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
@@ -31,15 +31,16 @@ def files_grid(fit: Fit) -> Grid | None:
     if not differs or Holds.EVERYTHING not in files:
         return None
     whole = files[Holds.EVERYTHING].accuracy
-    unit, scale = error_unit(whole.dimension)
+    unit = ERROR_UNIT[whole.dimension]
     before = files.get(Holds.ORIGINS, files[Holds.EVERYTHING]).accuracy.before
-    rows = [("nominal robot", GridNumber(scale * before), GridNumber(np.nan), "")]
+    rows = [("nominal robot", GridNumber(in_unit(before, unit)), GridNumber(np.nan), "")]
     for holds in (holds for holds in reversed(Holds) if holds in files):
         accuracy, formats = files[holds].accuracy, formats_that_hold(holds, fit.nominal)
         words = ("withheld: " if formats and files[holds].withheld else "") + ", ".join(formats)
         if holds is Holds.EVERYTHING:
             words = "; ".join(part for part in ("predict, solve, compensate, view", words) if part)
-        rows.append((holds.value, GridNumber(scale * accuracy.rms), GridNumber(scale * accuracy.limit95), words))
+        rms, limit95 = (GridNumber(in_unit(size, unit)) for size in (accuracy.rms, accuracy.limit95))
+        rows.append((holds.value, rms, limit95, words))
     columns = (GridColumn("file holds", "a file holds", words=True), GridColumn("RMS"), GridColumn("95 % limit"))
     return Grid(
         f"What files are worth, {unit} ({whole.part} error, {whole.pose_words})",
@@ -55,7 +56,7 @@ def file_entries(fit: Fit) -> list[dict[str, object]]:
     """Return the entries of `result.json` on files: content of each kind, its formats, and its error."""
     entries = list[dict[str, object]]()
     for holds, file_robot in files_of(fit).items():
-        accuracy, (unit, scale) = file_robot.accuracy, error_unit(file_robot.accuracy.dimension)
+        accuracy, unit = file_robot.accuracy, ERROR_UNIT[file_robot.accuracy.dimension]
         entries.append(
             {
                 "holds": holds.name.lower(),
@@ -65,9 +66,9 @@ def file_entries(fit: Fit) -> list[dict[str, object]]:
                 "part": accuracy.part,
                 "dimension": accuracy.dimension,
                 "unit": unit,
-                "rms_nominal": scale * accuracy.before,
-                "rms": scale * accuracy.rms,
-                "limit95": scale * accuracy.limit95,
+                "rms_nominal": in_unit(accuracy.before, unit),
+                "rms": in_unit(accuracy.rms, unit),
+                "limit95": in_unit(accuracy.limit95, unit),
                 "withheld": file_robot.withheld or None,
                 "joint_zeros": _zeros(fit.nominal, file_robot),
             }
@@ -78,9 +79,9 @@ def file_entries(fit: Fit) -> list[dict[str, object]]:
 def _zeros(robot: Robot, file_robot: FileRobot) -> list[dict[str, object]] | None:
     if not len(file_robot.offsets):
         return None
-    units = [display_unit(robot.mechanism.dimensions[name]) for name in robot.joint_names]
+    units = [DISPLAY_UNIT[robot.mechanism.dimensions[name]] for name in robot.joint_names]
     rows = zip(robot.joint_names, file_robot.signs, file_robot.offsets, units, strict=True)
     return [
-        {"joint": name, "sign": int(sign), "offset": float(offset) * scale, "unit": unit}
-        for name, sign, offset, (unit, scale) in rows
+        {"joint": name, "sign": int(sign), "offset": in_unit(float(offset), unit), "unit": unit}
+        for name, sign, offset, unit in rows
     ]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.base.units import error_unit, quantity_text
+from calib.core.base.units import ERROR_UNIT, in_unit, quantity_text
 from calib.core.base.words import count_noun
 from calib.core.fitting.fitted import Fit
 from calib.core.judging.repeatability import doubtful_repeats, repeat_table, repeatability
@@ -21,8 +21,8 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
     for instrument in fit.nominal.instruments:
         parts = []
         for part in instrument.parts:
-            noise, (unit, scale) = noise_of.get((instrument.group, part.name)), error_unit(part.dimension)
-            stated = None if noise is None or noise.stated is None else scale * noise.stated
+            noise, unit = noise_of.get((instrument.group, part.name)), ERROR_UNIT[part.dimension]
+            stated = None if noise is None or noise.stated is None else in_unit(noise.stated, unit)
             own = {
                 label: table[instrument.name][part.name] for label, table in tables.items() if instrument.name in table
             }
@@ -30,7 +30,7 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
                 {
                     "name": part.name,
                     "unit": unit,
-                    "sigma": None if noise is None else scale * noise.sigma,
+                    "sigma": None if noise is None else in_unit(noise.sigma, unit),
                     "sigma_stated": stated,
                     "degrees_of_freedom": None if noise is None else noise.freedom,
                     "errors": own,
@@ -58,12 +58,12 @@ def noise_found(fit: Fit) -> list[NoiseFound]:
     """Return the noise of each group of rows; its quantity is named if there are several."""
     lines = []
     for noise in fit.noise:
-        unit, scale = error_unit(noise.group.part.dimension)
+        unit = ERROR_UNIT[noise.group.part.dimension]
         lines.append(
             NoiseFound(
                 f" of {noise.group.name}, {noise.group.part.name}" if len(fit.noise) > 1 else "",
-                scale * noise.sigma,
-                None if noise.stated is None else scale * noise.stated,
+                in_unit(noise.sigma, unit),
+                None if noise.stated is None else in_unit(noise.stated, unit),
                 unit,
                 " per axis" if len(noise.group.part.axes) > 1 else "",
                 noise.freedom,
@@ -102,7 +102,7 @@ def repeat_lines(fit: Fit) -> list[str]:
     lines = []
     scatter, _ = repeatability(fit.identification)
     if np.isfinite(scatter):
-        lines.append(f"Scatter of the repeats: {quantity_text(scatter, 'length', '.4g')} per axis")
+        lines.append(f"Scatter of the repeats: {quantity_text(scatter, 'mm', '.4g')} per axis")
     for name, errors in (("used", fit.identification), ("not used", fit.validation)):
         table = None if errors is None else repeat_table(errors)
         if errors is not None and table is not None:

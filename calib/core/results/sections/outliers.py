@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.core.base.arrays import IntArray
 from calib.core.base.memoize import memoize
-from calib.core.base.units import ERROR_UNIT, error_scale, quantity_text
+from calib.core.base.units import ERROR_UNIT, in_unit, quantity_text
 from calib.core.base.words import listing
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
@@ -83,7 +83,7 @@ def _error_scale(errors: ErrorSet | None, outlier: Outlier) -> float:
     if errors is None:
         return 1.0
     instrument = next(instrument for instrument in errors.instruments if instrument.name == outlier.target)
-    return error_scale(instrument.parts[0].dimension)
+    return in_unit(1.0, ERROR_UNIT[instrument.parts[0].dimension])
 
 
 def with_excluded(fit: Fit) -> dict[str, object] | None:
@@ -105,7 +105,7 @@ def outliers_left_out(fit: Fit) -> list[str]:
         return []
     before, after = (either.identification.table()["after"]["rms"] for either in (fit.with_all, fit))
     dimension = fit.identification.main_part.dimension
-    unit, noise = ERROR_UNIT[dimension], quantity_text(fit.with_all.sigma, dimension, ".4g")
+    unit, noise = ERROR_UNIT[dimension], quantity_text(fit.with_all.sigma, ERROR_UNIT[dimension], ".4g")
     layout, left = fit.with_all.rows.layout, fit.rows.layout.n_readings
     several = layout.n_readings > len(np.unique(layout.visit))
     count = f" ({layout.n_readings - left} of {layout.n_readings} readings)" if several else ""

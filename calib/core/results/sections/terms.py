@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from calib.core.base.units import DISPLAY_UNIT, display_unit, error_unit, quantity_text
+from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, in_unit, quantity_text
 from calib.core.base.words import listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.terms.candidate_terms import TermTrial, why_term_unknown
@@ -28,10 +28,10 @@ def terms_table(fit: Fit) -> dict[str, object]:
 
 
 def _curve_as_data(curve: JointCurve) -> dict[str, object]:
-    (unit, scale), (of_errors, error_scale) = display_unit(curve.dimension), error_unit(curve.dimension)
-    span = {"low": float(curve.command[0] * scale), "high": float(curve.command[-1] * scale), "error_unit": of_errors}
-    errors = {"rms": curve.rms * error_scale, "rms_std": curve.rms_std * error_scale}
-    return {"joint": curve.joint, "unit": unit, **span, **errors}
+    unit, of_errors = DISPLAY_UNIT[curve.dimension], ERROR_UNIT[curve.dimension]
+    low, high = (in_unit(float(curve.command[k]), unit) for k in (0, -1))
+    errors = {key: in_unit(getattr(curve, key), of_errors) for key in ("rms", "rms_std")}
+    return {"joint": curve.joint, "unit": unit, "low": low, "high": high, "error_unit": of_errors, **errors}
 
 
 def terms_lines(fit: Fit) -> list[str]:
@@ -91,8 +91,11 @@ def curve_lines(fit: Fit) -> list[str]:
     """Return the size of the error of each joint with a curve, and its measured range, one line each."""
     lines = []
     for curve in joint_curves(fit):
-        rms, known = quantity_text(curve.rms, curve.dimension), quantity_text(curve.rms_std, curve.dimension, ".2g")
-        low, high = (quantity_text(float(curve.command[k]), curve.dimension, ".4g", DISPLAY_UNIT) for k in (0, -1))
+        rms, known = (
+            quantity_text(curve.rms, ERROR_UNIT[curve.dimension]),
+            quantity_text(curve.rms_std, ERROR_UNIT[curve.dimension], ".2g"),
+        )
+        low, high = (quantity_text(float(curve.command[k]), DISPLAY_UNIT[curve.dimension], ".4g") for k in (0, -1))
         lines.append(
             f"Error curve of {curve.joint}: {rms} RMS, known to {known}; it holds from {low.partition(' ')[0]} to"
             f" {high}, where it was measured"

@@ -22,7 +22,7 @@ from pydantic import Field, field_validator
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError
 from calib.core.base.sections import PositiveAngle, Section
-from calib.core.base.units import DISPLAY_UNIT, Dimension, quantity_text
+from calib.core.base.units import Dimension, quantity_text
 
 STANDARD = 9.81
 """Acceleration by gravity [m/s^2], as in Pinocchio; fitted coefficients absorb its local deviation."""
@@ -70,7 +70,7 @@ class GravitySection(Section):
     @classmethod
     def _is_small(cls, value: float | None) -> float | None:
         if value is not None and value > np.pi / 2:
-            size = quantity_text(value, "angle", ".0f", DISPLAY_UNIT)
+            size = quantity_text(value, "deg", ".0f")
             raise ValueError(f"{size} means that nothing is known; write a unit, such as '3 deg'")
         return value
 

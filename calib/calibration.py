@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from calib import pictures
 from calib.core.base.errors import InputError
-from calib.core.base.units import ERROR_UNIT, in_si
+from calib.core.base.units import ERROR_UNIT, sigma_in_si
 from calib.core.base.words import html_with_title, listing
 from calib.core.base.workers import Progress, Workers
 from calib.core.calibrating.calibrate import calibrate
@@ -231,7 +231,7 @@ def fit(
     elif validation is not None:
         held = as_measurements(robot, validation).read_visits()
     settings = Settings(
-        None if one_for_all is None else in_si(cast("float | str", one_for_all), "length", "sigma"),
+        sigma_in_si(cast("float | str | None", one_for_all)),
         find_loss(loss),
         exclude_outliers,
         starts,

@@ -22,6 +22,7 @@ ENTRY_POINTS = tuple(
         ("calib.methods", "compiled_kinematics", "calib.compiled.kernels"),
         ("calib.methods", "check_poses", "calib.motion.poses:check_poses"),
         ("calib.methods", "urdf_of_table", "calib.starting.dh_tables:urdf_of_table"),
+        ("calib.methods", "with_model", "calib.fleets.atlas:with_model"),
         ("calib.methods", "templates", "calib.starting.templates:TEMPLATES"),
         ("calib.measures", "camera", "calib.photographs.first_words:camera_words"),
         ("calib.first_descriptions", "klipper", "calib.printers.first_files:KLIPPER"),
@@ -45,6 +46,11 @@ ENTRY_POINTS = tuple(
         ("calib.reasons", "between_holes", "calib.redundancy.hole_pattern:check_holes"),
         ("calib.terms", "play", "calib.redundancy.drive_terms:Play"),
         ("calib.terms", "in_proportion", "calib.redundancy.drive_terms:InProportion"),
+        ("calib.entries", "traceability", "calib.quality.traceability:TraceabilitySection"),
+        ("calib.entries", "obstacles", "calib.motion.surroundings:Obstacles"),
+        ("calib.entries", "shape", "calib.motion.surroundings:ShapeSection"),
+        ("calib.entries", "acceptance", "calib.motion.surroundings:Acceptance"),
+        ("calib.entries", "sight", "calib.motion.surroundings:SightSection"),
         ("calib.contradicted", "fleet", "calib.fleets.contradicted_prior:without_contradicted_fleet"),
     )
 )

@@ -10,6 +10,8 @@ A package names its additions in its `pyproject.toml`, under these groups of ent
     calib.formats               formats of `calib export`: a tuple of `Format`
     calib.models                models by name: a mapping to files that `calib fleet` wrote, with their URDF
     calib.readers               formats of measurement files: a tuple of `OtherFormat`
+    calib.robot_readers         a format of robot files, named by its ending or outermost XML element: a function of
+                                path, content and arguments that returns a URDF and a `ForeignRobot`
     calib.first_descriptions    an option of `calib init` that starts from other files than a URDF: a `FirstFiles`
     calib.qualification         checks of `calib qualify`: a function without arguments that yields `Check`
 
@@ -18,7 +20,7 @@ A notebook registers kinds and terms in `KINDS` and `TERMS`. `check_kind` and `c
 
 from calib.checking import check_kind, check_term
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.errors import ComputationError, DataError, DescriptionError, InputError
+from calib.core.base.errors import ComputationError, DataError, DescriptionError, InputError, UrdfError
 from calib.core.base.parameter import Parameter
 from calib.core.base.sections import (
     KNOWN_ZERO,
@@ -37,7 +39,7 @@ from calib.core.commands.common import Output
 from calib.core.data.other_formats import OtherFormat, SomeFile
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import (
-    Column,
+    Columns,
     Comparison,
     FrameInstrument,
     Guess,
@@ -61,6 +63,8 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.formula import Formula, Proportional, Source, WaveFormula
 from calib.core.robots.terms.term import Condition, Context, Joint, JointTerm, TermSection, coefficient
 from calib.core.robots.terms.terms import TERMS
+from calib.core.robots.urdf.text import ForeignLoop, ForeignRobot
+from calib.core.robots.urdf.writing import joint_text, robot_text
 from calib.quality.protocol import Check, Phase
 from calib.redundancy.named_origins import NamedComponent, NamedOrigins
 from calib.shared.first_files import FirstFiles
@@ -70,7 +74,7 @@ __all__ = [
     "KNOWN_ZERO",
     "TERMS",
     "Check",
-    "Column",
+    "Columns",
     "Comparison",
     "Component",
     "ComputationError",
@@ -81,6 +85,8 @@ __all__ = [
     "FirstFiles",
     "Fit",
     "FloatArray",
+    "ForeignLoop",
+    "ForeignRobot",
     "Format",
     "FormatFile",
     "Formula",
@@ -125,12 +131,15 @@ __all__ = [
     "SomeFile",
     "Source",
     "TermSection",
+    "UrdfError",
     "View",
     "WaveFormula",
     "check_kind",
     "check_term",
     "coefficient",
+    "joint_text",
     "millimetres",
     "quantity",
+    "robot_text",
     "twist_of_edit",
 ]

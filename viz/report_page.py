@@ -23,13 +23,12 @@ from calib.core.base.version import PROGRAM
 from calib.core.base.words import sentence
 from calib.core.judging.verdict import judge
 from calib.core.results.sections.accuracy import accuracy_grids
-from calib.core.results.sections.budget import budget_grid, budget_table, worst_joint
+from calib.core.results.sections.budget import budget_grid, budget_table
 from calib.core.results.sections.details import details
 from calib.core.results.sections.determination import position_uncertainty_table, unsure
 from calib.core.results.sections.files_held import files_grid
 from calib.core.results.sections.grid import GridNumber
 from calib.core.results.sections.noise import noise_found
-from calib.core.results.sections.outliers import outlier_grid
 from calib.core.results.sections.parameters import parameter_grid
 from viz.charts import Charts
 from viz.error_charts import conditions, coverage, error_charts, page_rows
@@ -38,7 +37,7 @@ from viz.judgement import following_words, robot_to_load
 from viz.page_parts import chart_parts, places
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
-from viz.report_tables import Headline, extent, tolerance_of, worst
+from viz.report_tables import Headline, extent, outlier_grid, tolerance_of, worst, worst_joint
 from viz.result_charts import file_worth_chart, joint_shares, parameters, waterfall
 from viz.scene import ViewerScene, scene_of_fit
 from viz.scene_data import mean_distances

@@ -9,10 +9,11 @@ import numpy as np
 
 from calib import Fit
 from calib.core.judging import findings
-from calib.core.results.sections.budget import budget_table, worst_joints
+from calib.core.results.sections.budget import budget_table
 from calib.core.results.sections.files_held import files_grid
 from calib.core.results.sections.grid import GridNumber
 from viz.charts import COLOURS, Chart, axis, layer, panel
+from viz.report_tables import worst_joints
 
 _LINE, _LINES = 20, 19  # height of a line with a name [px], and most lines: half a page of paper
 

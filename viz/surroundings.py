@@ -10,7 +10,7 @@ from calib import Robot
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DescriptionError
 from calib.core.robots.mechanism import rigid
-from calib.core.robots.surroundings import ObstacleSection, ShapeSection
+from calib.motion.surroundings import ObstacleSection, ShapeSection
 from viz.shapes import Colour, Shape, translation
 
 _STONE: Colour = (0.72, 0.66, 0.58, 0.55)

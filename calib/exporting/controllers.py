@@ -26,12 +26,13 @@ from calib.core.data.table_writing import format_table
 from calib.core.fitting.fit import fit_data
 from calib.core.fitting.settings import Settings
 from calib.core.instruments.position import Position, PositionSection
-from calib.core.results.urdf import comment, numbers, provenance_lines, source_lines
+from calib.core.results.urdf import comment, provenance_lines, source_lines
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import FormatFile, error_comparison
 from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import without_terms
+from calib.core.robots.urdf.writing import number_attribute
 from calib.core.rows.registration import register
 from calib.exporting.dh_tables import dh_table, format_dh, table_poses
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
@@ -242,8 +243,8 @@ def xacro_origins(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
         same = robot.mechanism.placement(joint.name) == robot.nominal.placement(joint.name)
         placement = robot.mechanism.placement(joint.name)
         xyz, rpy = (joint.xyz, joint.rpy) if same else (placement.translation, pin.rpy.matrixToRpy(placement.rotation))
-        lines.append(f'  <xacro:property name="{name}_xyz" value="{numbers(xyz)}"/>')
-        lines.append(f'  <xacro:property name="{name}_rpy" value="{numbers(rpy)}"/>')
+        lines.append(f'  <xacro:property name="{name}_xyz" value="{number_attribute(xyz)}"/>')
+        lines.append(f'  <xacro:property name="{name}_rpy" value="{number_attribute(rpy)}"/>')
     statement = f"holds every joint origin exactly{_terms_text(robot)}; no base or target position"
     head = comment(["calib: joint origins for a xacro to include", statement, *provenance_lines(robot), *provenance])
     first = '<?xml version="1.0"?>\n<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'

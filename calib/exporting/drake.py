@@ -13,9 +13,9 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
-from calib.core.results.urdf import comment, numbers, provenance_lines, with_inserted
+from calib.core.results.urdf import comment, provenance_lines, with_inserted
 from calib.core.robots.urdf.text import parse_urdf
-from calib.core.robots.urdf.writing import quote_attribute
+from calib.core.robots.urdf.writing import number_attribute, quote_attribute
 from calib.exporting.closed_model import ClosedModel, Marker, Tie, servo_gains, tie_lines
 from calib.shared.links import element_tree
 
@@ -49,8 +49,8 @@ def _ball(tie: Tie, point: FloatArray) -> str:
     return (
         f"  <drake:ball_constraint>\n    <drake:ball_constraint_body_A name={quote_attribute(tie.a)}/>\n"
         f"    <drake:ball_constraint_body_B name={quote_attribute(tie.b)}/>\n"
-        f'    <drake:ball_constraint_p_AP value="{numbers(point)}"/>\n'
-        f'    <drake:ball_constraint_p_BQ value="{numbers(on_b)}"/>\n  </drake:ball_constraint>'
+        f'    <drake:ball_constraint_p_AP value="{number_attribute(point)}"/>\n'
+        f'    <drake:ball_constraint_p_BQ value="{number_attribute(on_b)}"/>\n  </drake:ball_constraint>'
     )
 
 
@@ -58,7 +58,7 @@ def _frame(marker: Marker) -> str:
     rpy = pin.rpy.matrixToRpy(marker.placement.rotation)
     return (
         f"  <frame name={quote_attribute(marker.name)} link={quote_attribute(marker.link)}"
-        f' xyz="{numbers(marker.placement.translation)}" rpy="{numbers(rpy)}"/>'
+        f' xyz="{number_attribute(marker.placement.translation)}" rpy="{number_attribute(rpy)}"/>'
     )
 
 

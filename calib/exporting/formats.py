@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.files import check_file, check_folder, write_files, write_folder
-from calib.core.results.urdf import urdf_bytes, with_mesh_prefix
+from calib.core.results.urdf import urdf_bytes
 from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.file_formats import formats, held_of, loses, remarks_on_file, robot_for
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
+from calib.core.robots.urdf.writing import quote_attribute
 from calib.exporting.closed_model import closed_model
 from calib.exporting.drake import drake_bytes
 from calib.exporting.file_formats import LANGUAGES, function_file
@@ -21,6 +23,7 @@ from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 
 _WITH_URDF = ("urdf", "drake", "toolbox")
+_MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")
 _UNTOUCHED = ("urdf", "toolbox")  # their URDF gets a comment only if there is something to say
 JOINT_TABLES = "joint-tables"
 """The format that is a folder of files."""
@@ -109,9 +112,15 @@ def export(
         lines = None
     files = _contents(file_robot, format, path, free_slide, lines, note, force=force)
     if meshes:
-        files[urdf] = with_mesh_prefix(files[urdf], meshes)
+        files[urdf] = _with_mesh_prefix(files[urdf], meshes)
     write_files(files, comment=all_formats[format].comment, inputs=sources, force=force)
     return () if free_slide or all_formats[format].write or format in LANGUAGES else loop_gaps(file_robot)
+
+
+def _with_mesh_prefix(source: bytes, prefix: str) -> bytes:
+    """URDF bytes with a prefix before every mesh path that is relative to the URDF."""
+    start = quote_attribute(prefix.rstrip("/") + "/")[1:-1].encode("ascii", "xmlcharrefreplace")
+    return _MESH.sub(lambda match: match.group() + start, source)
 
 
 def _write_tables(

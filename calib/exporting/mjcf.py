@@ -26,9 +26,10 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.errors import InputError
-from calib.core.results.urdf import comment, numbers, provenance_lines
+from calib.core.results.urdf import comment, provenance_lines
 from calib.core.robots.mechanism import rigid
 from calib.core.robots.urdf.reader import HELD_TYPES, UrdfJoint
+from calib.core.robots.urdf.writing import number_attribute
 from calib.exporting.closed_model import ClosedModel, joint_motion, possible_inertia, servo_gains, tie_lines
 from calib.exporting.mjcf_shapes import MjcfShapes, add_surroundings, pose_attributes
 from calib.shared.links import Inertial, Link, read_links
@@ -132,11 +133,11 @@ class _Writer:
             attributes = {
                 "name": joint.name,
                 "type": _TYPES[joint.type],
-                "axis": numbers(joint.axis),
-                "ref": numbers([value]),
+                "axis": number_attribute(joint.axis),
+                "ref": number_attribute([value]),
             }
             if math.isfinite(joint.lower) and joint.lower < joint.upper:
-                attributes |= {"limited": "true", "range": numbers([joint.lower, joint.upper])}
+                attributes |= {"limited": "true", "range": number_attribute([joint.lower, joint.upper])}
             SubElement(body, "joint", attributes)
         self._content(body, joint.child, moving)
 
@@ -159,9 +160,9 @@ class _Writer:
         SubElement(
             element,
             "inertial",
-            pos=numbers(inertial.centre),
-            mass=numbers([inertial.mass]),
-            fullinertia=numbers([xx, yy, zz, possible[0, 1], possible[0, 2], possible[1, 2]]),
+            pos=number_attribute(inertial.centre),
+            mass=number_attribute([inertial.mass]),
+            fullinertia=number_attribute([xx, yy, zz, possible[0, 1], possible[0, 2], possible[1, 2]]),
         )
 
     def _carried_mass(self, name: str) -> float:
@@ -219,7 +220,7 @@ class _Writer:
             if tie.full_pose:
                 SubElement(equality, "weld", attributes)
             else:
-                SubElement(equality, "connect", attributes, anchor=numbers(anchor.translation))
+                SubElement(equality, "connect", attributes, anchor=number_attribute(anchor.translation))
         for joint in followers:
             assert joint.mimic is not None
             leader, factor, _ = joint.mimic  # no offset: MuJoCo counts both from their `ref`
@@ -229,7 +230,7 @@ class _Writer:
                 name=f"{joint.name}_mimics_{leader}",
                 joint1=joint.name,
                 joint2=leader,
-                polycoef=numbers([0.0, factor, 0.0, 0.0, 0.0]),
+                polycoef=number_attribute([0.0, factor, 0.0, 0.0, 0.0]),
             )
 
     def _actuators(self, root: Element) -> None:
@@ -241,6 +242,6 @@ class _Writer:
     def _keyframe(self, root: Element) -> None:
         """Add the keyframe home, with the servos there; joints in MuJoCo's order."""
         joints = [element.attrib for element in root.iter("joint") if "type" in element.attrib]
-        positions = numbers(self.model.home[joint["name"]] for joint in joints)
-        controls = numbers(self.model.home[name] for name in self.model.actuated)
+        positions = number_attribute(self.model.home[joint["name"]] for joint in joints)
+        controls = number_attribute(self.model.home[name] for name in self.model.actuated)
         SubElement(SubElement(root, "keyframe"), "key", name="home", qpos=positions, ctrl=controls)

@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
-from calib.core.results.urdf import numbers
 from calib.core.robots.urdf.meshes import find_mesh
+from calib.core.robots.urdf.writing import number_attribute
 from calib.shared.links import Link, LinkShape
 
 _MAX_FACES = 200_000  # faces of a binary STL file, MuJoCo's limit
@@ -64,8 +64,10 @@ class MjcfShapes:
         for end in ends:
             length = float(np.linalg.norm(end))
             if length > 0:
-                where = {"fromto": numbers((0.0, 0.0, 0.0, *end)), "size": numbers([_ROD * length])}
-                SubElement(body, "geom", {"type": "capsule", **where, "rgba": numbers(_GREY), "mass": "0", **role})
+                where = {"fromto": number_attribute((0.0, 0.0, 0.0, *end)), "size": number_attribute([_ROD * length])}
+                SubElement(
+                    body, "geom", {"type": "capsule", **where, "rgba": number_attribute(_GREY), "mass": "0", **role}
+                )
 
     def _geom(self, body: Element, shape: LinkShape, role: dict[str, str]) -> bool:
         """Add one shape; return whether it could be read."""
@@ -76,16 +78,16 @@ class MjcfShapes:
         if shape.kind == "mesh":
             parts = self._files_of(shape)
             for file, own_colour in parts:
-                colour = {"rgba": numbers(shape.colour or own_colour)} if shape.colour or own_colour else {}
+                colour = {"rgba": number_attribute(shape.colour or own_colour)} if shape.colour or own_colour else {}
                 SubElement(body, "geom", {"type": "mesh", "mesh": self._mesh(file, shape.size), **colour, **common})
             return bool(parts)
         if shape.kind == "box":
-            size = numbers(edge / 2 for edge in shape.size)
+            size = number_attribute(edge / 2 for edge in shape.size)
         elif shape.kind == "cylinder":
-            size = numbers((shape.size[0], shape.size[1] / 2))
+            size = number_attribute((shape.size[0], shape.size[1] / 2))
         else:
-            size = numbers(shape.size)
-        colour = {} if shape.colour is None else {"rgba": numbers(shape.colour)}
+            size = number_attribute(shape.size)
+        colour = {} if shape.colour is None else {"rgba": number_attribute(shape.colour)}
         SubElement(body, "geom", {"type": shape.kind, "size": size, **colour, **common})
         return True
 
@@ -127,7 +129,7 @@ class MjcfShapes:
         key = (file, scale)
         if key not in self._meshes:
             self._meshes[key] = f"mesh_{len(self._meshes)}"
-            attributes = {"file": file, "scale": numbers(scale)}
+            attributes = {"file": file, "scale": number_attribute(scale)}
             attributes["inertia"] = "shell"  # a flat mesh has no volume, which MuJoCo would refuse
             SubElement(self.asset, "mesh", {"name": self._meshes[key], **attributes})
         return self._meshes[key]
@@ -164,9 +166,9 @@ def add_surroundings(world: Element, points: FloatArray) -> None:
     """Add a lamp above the links' frames at home, (n, 3) [m], and a floor below that collides with nothing."""
     size = round(max(float(np.max(np.abs(points))), 0.1), 3)  # millimetres suffice; more digits would be rounding
     low, high = (round(float(end), 3) for end in (np.min(points[:, 2]), np.max(points[:, 2])))
-    SubElement(world, "light", name="lamp", pos=numbers((0.0, -size, high + 2 * size)), dir="0 0.4 -1")
-    floor = {"type": "plane", "size": numbers((3 * size, 3 * size, size / 10)), "rgba": "0.85 0.87 0.9 1"}
-    floor |= {"pos": numbers((0.0, 0.0, low)), "group": "2", "contype": "0", "conaffinity": "0"}
+    SubElement(world, "light", name="lamp", pos=number_attribute((0.0, -size, high + 2 * size)), dir="0 0.4 -1")
+    floor = {"type": "plane", "size": number_attribute((3 * size, 3 * size, size / 10)), "rgba": "0.85 0.87 0.9 1"}
+    floor |= {"pos": number_attribute((0.0, 0.0, low)), "group": "2", "contype": "0", "conaffinity": "0"}
     SubElement(world, "geom", {"name": "floor", **floor})
 
 
@@ -174,10 +176,10 @@ def pose_attributes(placement: pin.SE3) -> dict[str, str]:
     """Return `pos` and `quat` of a pose, without default values."""
     result = {}
     if np.any(placement.translation):
-        result["pos"] = numbers(placement.translation)
+        result["pos"] = number_attribute(placement.translation)
     if not np.array_equal(placement.rotation, np.eye(3)):
         x, y, z, w = pin.Quaternion(placement.rotation).normalized().coeffs()
-        result["quat"] = numbers((w, x, y, z))
+        result["quat"] = number_attribute((w, x, y, z))
     return result
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays, evenly_spread
 from calib.core.base.errors import DataError
 from calib.core.base.files import read_text
 from calib.core.base.words import count_noun
@@ -124,7 +124,7 @@ class Pairs(ReadOnlyArrays):
 
     def evenly(self, most: int) -> Pairs:
         """Return at most `most` pairs, evenly spread over the file, since a log has thousands of similar pairs."""
-        kept = np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
+        kept = evenly_spread(len(self), most)
         arrays = {name: getattr(self, name)[kept] for name in ("joints", "positions", "rotations")}
         return replace(self, rows=tuple(self.rows[k] for k in kept), **arrays)
 

@@ -15,9 +15,7 @@ from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import (
     Output,
-    different_poses,
     load_robot,
-    place_by_files,
     shared_options,
     values_options,
     with_values,
@@ -28,6 +26,7 @@ from calib.core.data.plan_files import read_plan, read_pose_files
 from calib.core.robots.robot import Robot
 from calib.motion.programs import LANGUAGES, THIRD_JOINT, Motion, table_to_fill_in, write_program
 from calib.motion.route import Route, plan_route
+from calib.shared.pose_files import different_poses, place_by_files
 
 _READINGS = "readings.csv"
 

@@ -8,10 +8,10 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError
 from calib.core.base.memoize import memoize
 from calib.core.robots.robot import Robot
-from calib.core.robots.surroundings import UNCHECKED
 from calib.motion.allowed_contacts import build_scene, home_and_more
 from calib.motion.shapes import has_collision_shapes, missing_meshes
 from calib.motion.sight import Sight, sight_lines
+from calib.motion.surroundings import UNCHECKED
 from calib.shared.pose_check import PoseCheck
 
 _SAMPLES = 100  # poses from which shapes that always hide a line are found

@@ -124,7 +124,7 @@ def write_program(route: Route, language: str, motion: Motion) -> str:
     Raises:
         InputError: The language has no joint moves for this robot.
     """
-    turning = all(route.robot.mechanism.dimensions[name] == "angle" for name in route.robot.joint_names)
+    turning = np.all(route.robot.mechanism.turning)
     if LANGUAGES[language].six_axes and (len(route.robot.joint_names) != _ROBOT_AXES or not turning):
         raise InputError(
             f"--format {language}: its programs move six turning joints, and this robot has"
@@ -273,7 +273,7 @@ def table_to_fill_in(route: Route) -> str:
     """Return the stops as a table, with empty columns for the readings of the instruments."""
     columns = pose_columns(route.robot, [stop.name for stop in route.stops], route.joints)
     for instrument in route.robot.instruments:
-        numbers = [header(column.name, column.dimension) for column in instrument.columns()]
+        numbers = [header(*column) for column in instrument.columns().items()]
         for name in (*numbers, *instrument.text_columns()):
             columns[name] = [""] * len(route.stops)
     comment = "write the readings of each pose here; an instrument's own log is joined by its column 'pose'"

@@ -27,12 +27,12 @@ from calib.core.instruments.kind import Readings
 from calib.core.instruments.touch import Touch
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
-from calib.core.robots.surroundings import FLOOR, UNCHECKED
 from calib.core.rows.observed import predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
 from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
 from calib.motion.scene import CollisionScene, exceeds_limits
+from calib.motion.surroundings import FLOOR, UNCHECKED
 from calib.shared.candidates import configurations_at
 
 _NODES = 150  # poses of the roadmap in addition to the stops
@@ -232,14 +232,13 @@ def _turned_by_full_turns(robot: Robot, start: FloatArray, joints: FloatArray) -
 
     Every joint is as near as possible, or all but one.
     """
-    turning = np.array([robot.mechanism.dimensions[name] != "length" for name in robot.joint_names])
     least, most = ((robot.joint_limits[:, end] - joints) / (2 * np.pi) for end in (0, 1))
-    fewest, largest = np.where(turning, (np.ceil(least - _ROUND), np.floor(most + _ROUND)), 0.0)
+    fewest, largest = np.where(robot.mechanism.turning, (np.ceil(least - _ROUND), np.floor(most + _ROUND)), 0.0)
     turns = np.clip(np.round((start - joints) / (2 * np.pi)), fewest, largest)
     further = turns + np.sign(start - joints - 2 * np.pi * turns)
     result = np.full((_TURNS, *joints.shape), np.nan)
     for k, q in enumerate(joints):
-        others = np.where(np.eye(len(turning), dtype=bool), further[k], turns[k])
+        others = np.where(np.eye(joints.shape[1], dtype=bool), further[k], turns[k])
         others = np.unique(np.vstack([turns[k], others]), axis=0)
         others = others[np.all((others >= fewest[k]) & (others <= largest[k]), axis=1) & np.any(others != 0, axis=1)]
         found = q + 2 * np.pi * others

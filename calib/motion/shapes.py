@@ -25,8 +25,8 @@ from calib.core.base.errors import DescriptionError
 from calib.core.base.words import listing
 from calib.core.robots.mechanism import rigid
 from calib.core.robots.robot_data import RobotData
-from calib.core.robots.surroundings import UNCHECKED, ShapeSection
 from calib.core.robots.urdf.meshes import find_mesh
+from calib.motion.surroundings import UNCHECKED, ShapeSection
 from calib.shared.links import LinkShape, read_links
 
 _MOST_TRIANGLES = 20_000

@@ -22,8 +22,8 @@ from calib.core.instruments.kind import FrameInstrument
 from calib.core.instruments.pixel import Pixel
 from calib.core.robots.described_instruments import MEASUREMENT_FRAME
 from calib.core.robots.robot import Robot
-from calib.core.robots.surroundings import AcceptanceSection
 from calib.motion.scene import CollisionScene
+from calib.motion.surroundings import AcceptanceSection
 
 _SHORT = 0.025  # distance from its ends that a line leaves out [m]
 _BEAM = 0.01  # width of a line [m]

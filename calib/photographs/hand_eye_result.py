@@ -12,9 +12,10 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.contributions import Contributions, Uncertainty, names_of
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun, json_file, listing
-from calib.core.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
+from calib.core.instruments.camera import NAMES
 from calib.photographs.estimation import LITTLE_TURN, rms, turning
 from calib.photographs.hand_eye import HandEye
+from calib.photographs.image_coverage import LITTLE_COVERAGE, image_coverage
 from calib.photographs.scene import SIDES, Mount
 
 FEW = 10  # images; a result of fewer gets CHECK

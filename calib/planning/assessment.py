@@ -22,14 +22,14 @@ from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.core.base.parameter import Parameter
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import in_si, quantity_text
+from calib.core.base.units import quantity_text, sigma_in_si
 from calib.core.base.words import count_noun, data_frame, html_with_title, listing
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurement_columns import rank_in_visit
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import Elimination, Rank, eliminate, reduce_rows
-from calib.core.numerics.observability import Information, TaskIndex, information, observability_of, task_index
+from calib.core.numerics.observability import Information, information
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
@@ -39,7 +39,9 @@ from calib.core.rows.prediction import without_common_motion
 from calib.core.rows.unknowns import Unknowns
 from calib.planning.exchange import Spacing, exchange, uniform_start
 from calib.planning.pose_sampling import sample
+from calib.planning.predicted_error import TaskIndex, task_index
 from calib.planning.selection_problem import TASK, build_problem
+from calib.planning.selection_scores import observability_of
 from calib.shared.candidates import (
     WHITENED,
     assumed_sigma,
@@ -212,7 +214,7 @@ def check(
         DataError: Fewer measured coordinates than free parameters without a prior.
         UnreachablePoseError: A pose cannot be assembled.
     """
-    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
+    robot, sigma = as_robot(robot), sigma_in_si(sigma)
     require_free(robot)
     poses = sample(robot, _SAMPLED) if poses is None else as_poses(robot, poses)
     task = None if task is None else as_poses(robot, task)

@@ -15,8 +15,9 @@ from calib.core.base.words import as_data, count_noun, listing, plain_text, sent
 from calib.core.commands.next_steps import NOISE, words_of
 from calib.core.data.measurements import Measurements
 from calib.core.numerics.identifiability import Rank
-from calib.core.numerics.observability import INDICES, TaskIndex
+from calib.core.numerics.observability import INDICES
 from calib.planning.assessment import CORRELATION_LIMIT, HARDLY, Assessment
+from calib.planning.predicted_error import TaskIndex
 from calib.shared.candidates import WHITENED
 from calib.shared.null_space import UnseenGroup, describe_group, natural_coefficients
 

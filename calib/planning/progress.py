@@ -38,8 +38,8 @@ from calib.core.instruments.kind import Comparison
 from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import views_of_instruments
-from calib.core.rows.prediction import RootMeanSquare
 from calib.planning.next_pose import NextPose
+from calib.planning.predicted_error import RootMeanSquare
 from calib.shared.candidates import near_measured
 
 UNKNOWN = RootMeanSquare(math.inf, 0.0, math.inf)

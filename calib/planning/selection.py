@@ -36,10 +36,9 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray, random_numbers
 from calib.core.base.errors import InputError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import in_si, quantity_text
+from calib.core.base.units import quantity_text, sigma_in_si
 from calib.core.base.workers import Progress, Workers, results_in_order
 from calib.core.data.in_memory import PosesLike, as_poses
-from calib.core.numerics.observability import observability_of
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
@@ -47,7 +46,7 @@ from calib.planning.measurement_order import order_in_blocks, travel
 from calib.planning.selection_bound import CERTIFIED, gathered_by, log_phi, relax, slopes
 from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_result import Run, Selection
-from calib.planning.selection_scores import index_values
+from calib.planning.selection_scores import index_values, observability_of
 from calib.planning.selection_setting import SelectionSetting, prepare, require_count
 from calib.shared.candidates import WHITENED
 from calib.shared.pose_check import PoseCheck, check_poses
@@ -153,7 +152,7 @@ def select(
         UnreachablePoseError: Candidates cannot be assembled.
         NotIdentifiableError: No choice determines the directions of the index.
     """
-    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
+    robot, sigma = as_robot(robot), sigma_in_si(sigma)
     started = time.perf_counter()
     rng = random_numbers(seed)
     groups = groups_of(robot, instruments, count)

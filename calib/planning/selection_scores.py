@@ -15,6 +15,7 @@ Reference: bhatia1997, sections II.5 and III.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,7 +23,10 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import require_known
+from calib.core.base.parameter import Parameter
+from calib.core.base.units import PER_SI
 from calib.core.numerics import linalg
+from calib.core.numerics.identifiability import numerical_rank
 from calib.core.numerics.observability import observability
 from calib.planning.rank_three_scores import DeterminantScores, Scores, TaskScores
 from calib.planning.selection_problem import DETERMINED, TASK, SelectionProblem
@@ -69,6 +73,37 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
         trace = problem.task_trace(gathered) if determined else float("inf")
         values[TASK] = float(np.sqrt(trace + problem.task_floor))
     return values
+
+
+def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter], *, lengths: bool = True) -> FloatArray:
+    """Return the Jacobian in the units of tables, as in the paper: mm per unit of each parameter (mm or deg).
+
+    Args:
+        jacobian: d(positions)/d(parameters), (..., n_parameters) [m per m or rad].
+        lengths: Whether rows are lengths [m]; rows divided by their noise have no unit, and are not converted.
+    """
+    per_unit = np.array([1.0 / parameter.per_si for parameter in parameters])
+    return (PER_SI["length"]["mm"] if lengths else 1.0) * jacobian * per_unit
+
+
+def observability_of(
+    rows: FloatArray, parameters: Sequence[Parameter], n_poses: int, *, lengths: bool = True
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return O1 to O5 of poses, on scaled columns [m] and on raw ones (mm per unit of table).
+
+    Where the poses are short of rank, only non-zero singular values count.
+
+    Args:
+        rows: Scaled Jacobian, (..., n_parameters) [m]; leading axes are flattened.
+        n_poses: Number of poses behind the rows.
+        lengths: Whether rows are lengths; rows divided by their noise give indices without unit.
+    """
+    width = rows.shape[-1]
+    scales = np.array([parameter.sigma_si for parameter in parameters])
+    scaled = numerical_rank(rows.reshape(-1, width))
+    raw = numerical_rank(raw_columns(rows / scales, parameters, lengths=lengths).reshape(-1, width))
+    kept = slice(max(scaled.rank, 1))
+    return observability(scaled.singular_values[kept], n_poses), observability(raw.singular_values[kept], n_poses)
 
 
 def index_of_score(problem: SelectionProblem, index: str, score: float, count: int, unit: float) -> float:

@@ -40,9 +40,9 @@ from calib.core.fitting.settings import Settings
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
-from calib.core.rows.prediction import RootMeanSquare, predicted_rms
 from calib.planning.next_pose import NextPose, next_pose
 from calib.planning.pose_sampling import sample
+from calib.planning.predicted_error import RootMeanSquare, predicted_rms
 from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
 from calib.shared.candidates import require_free
 from calib.shared.free_poses import free_poses

@@ -15,8 +15,8 @@ from calib.core.base.words import as_data
 from calib.core.judging.repeatability import doubtful_repeats, iso_figures
 from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.saved_fit import SAVED
-from calib.core.robots.traceability import TraceabilitySection
 from calib.quality.documents import Document, DocumentRows
+from calib.quality.traceability import TraceabilitySection
 from calib.quality.uncertainty_budget import PROBABILITY, Budget
 
 LEGAL = (

@@ -30,10 +30,10 @@ from calib.core.data.measurement_files import read_poses
 from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.result_reading import load_result
 from calib.core.robots.description import validate_description
-from calib.core.robots.traceability import TraceabilitySection
 from calib.quality.certificate import certificate_content, document
 from calib.quality.dcc import xml
 from calib.quality.monte_carlo import monte_carlo
+from calib.quality.traceability import TraceabilitySection
 from calib.quality.uncertainty_budget import ErrorPropagation, budget
 
 _WRITERS: dict[str, Callable[[Mapping[str, Any]], bytes]] = {

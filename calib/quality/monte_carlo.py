@@ -26,10 +26,10 @@ from calib.core.numerics import linalg
 from calib.core.numerics.least_squares import minimise
 from calib.core.numerics.rigid import best_transform
 from calib.core.numerics.size_search import spread_of_sizes
-from calib.core.robots.traceability import TraceabilitySection
 from calib.core.rows.observed import observe
 from calib.core.rows.rows import Rows
 from calib.core.rows.unknowns import Unknowns
+from calib.quality.traceability import TraceabilitySection
 from calib.quality.uncertainty_budget import ELSEWHERE, MODEL, REPEATABILITY, SYSTEMATIC, Budget, ErrorPropagation
 
 _TOLERANCE = 1e-7  # relative change of the cost

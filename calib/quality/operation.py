@@ -200,7 +200,7 @@ def _coverage() -> Iterator[Check]:
     for seed in range(_FITS):
         true = draw_robot(robot, seed)
         fit = calibrate(robot, simulate(true, joints, seed=seed), None, Settings())
-        truth = dict(zip([parameter.name for parameter in true.parameters], true.values, strict=True))
+        truth = true.values_by_name
         hits += [
             estimate.low95_si <= truth[name] <= estimate.high95_si
             for name, estimate in fit.parameters.items()

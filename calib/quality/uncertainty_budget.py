@@ -44,8 +44,8 @@ from calib.core.judging.verdict import JudgedFit
 from calib.core.numerics import linalg
 from calib.core.numerics.size_search import variance_by_sizes
 from calib.core.numerics.statistics import prior_shares
-from calib.core.robots.traceability import TraceabilitySection
 from calib.core.rows.prediction import without_common_motion
+from calib.quality.traceability import TraceabilitySection
 
 PROBABILITY = 0.95
 _FOUND = "found from the same readings (calib fit --terms)"

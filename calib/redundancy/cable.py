@@ -21,7 +21,7 @@ from pydantic import Field
 from calib.core.base.arrays import FloatArray
 from calib.core.base.sections import KNOWN_ZERO, LengthOrUnknown, OwnLength, PositiveLength, PositiveLengthOrUnknown
 from calib.core.fitting.fitted import Fit
-from calib.core.instruments.kind import Column, InstrumentSection, Part, Readings, View
+from calib.core.instruments.kind import Columns, InstrumentSection, Part, Readings, View
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.relation import RelatedSection, Relation
 from calib.core.judging.reasons import Reason
@@ -72,9 +72,9 @@ class Cable(Relation):
         target = section.target or name
         return cls(name, target, own, lengths, section.gear, section.lines, noise=noise, unknowns=unknowns)
 
-    def columns(self) -> tuple[Column, ...]:
+    def columns(self) -> Columns:
         """Return one column with the instrument's name."""
-        return (Column(self.name, "angle"),)
+        return {self.name: "angle"}
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return the angle of the motor, (n, 1) [rad]."""
@@ -110,7 +110,7 @@ class Cable(Relation):
 
 def check_spools(fit: Fit) -> Iterator[Reason]:
     """Yield a reason against cables whose spool has a negative radius: the motor counts the other way."""
-    values = dict(zip((parameter.name for parameter in fit.robot.parameters), fit.robot.values, strict=True))
+    values = fit.robot.values_by_name
     for cable in (cable for cable in fit.identification.instruments if isinstance(cable, Cable)):
         if values.get(f"{cable.name}.spool", 1.0) < 0:
             text = f"the radius of the spool of {cable.name} is negative: it counts the other way"

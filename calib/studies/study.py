@@ -42,7 +42,7 @@ from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import CalibrationError, ComputationError, InputError, NotConvergedError
 from calib.core.base.memory import require_memory
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import in_si
+from calib.core.base.units import sigma_in_si
 from calib.core.base.words import count_noun
 from calib.core.base.workers import Progress, Workers, results_in_order
 from calib.core.calibrating.calibrate import calibrate
@@ -207,7 +207,7 @@ def study(
         NotConvergedError: The first draw did not converge, or no draw gave an answer.
         CalibrationError: As `calib.fit`, for the first draw.
     """
-    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
+    robot, sigma = as_robot(robot), sigma_in_si(sigma)
     started = time.perf_counter()
     if draws < 2:
         raise InputError(f"draws {draws}: must be 2 or more")
@@ -304,7 +304,7 @@ def _chunk(setting: _Setting, numbers: range) -> tuple[list[Draws], list[str]]:
 
 def _draw(setting: _Setting, truth: Robot, fit: Fit) -> Draws:
     known, sigma = fit.interval_statistics, np.array([estimate.sigma for estimate in fit.noise])
-    true = dict(zip((parameter.name for parameter in truth.parameters), truth.values, strict=True))
+    true = truth.values_by_name
     none: FloatArray = np.zeros((0, len(truth.target_names), 3))
     errors = half_width = none
     if len(setting.prediction_joints):

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 import calib
 from calib.core.base.units import DISPLAY_UNIT, PER_SI
 from calib.core.data.measurements import Poses
-from calib.core.data.parameter_files import format_parameters
 from calib.core.data.table_writing import format_table
 from calib.starting.dh_tables import urdf_of_table
 from calib.starting.templates import TEMPLATES as MECHANISMS
@@ -216,8 +215,15 @@ def _files(
             columns.append((f"{target}_{axis} [mm]", [f"{value:.4f}" for value in millimetres]))
     return {
         f"{name}_simulated.csv": format_table(columns, comments),
-        f"{name}_truth.csv": format_parameters(actual),
+        f"{name}_truth.csv": parameter_file(actual),
     }
+
+
+def parameter_file(robot: calib.Robot) -> str:
+    """Return a robot's values as a parameter file."""
+    values = [float(value * p.per_si) for p, value in zip(robot.parameters, robot.values, strict=True)]
+    names, units = [p.name for p in robot.parameters], [p.unit for p in robot.parameters]
+    return format_table([("parameter", names), ("value", values), ("unit", units)])
 
 
 def every_file() -> dict[str, str]:

@@ -13,11 +13,12 @@ import pytest
 import calib
 from calib.core.robots.acceleration import compile_for, compile_kinematics, kernels
 from calib.core.robots.continuation import newton
-from calib.core.robots.jacobian import linearise, origin_jacobian
+from calib.core.robots.jacobian import linearise
 from calib.core.rows.observed import observe
 from medrue import robot_file
 from medrue.workspace import target_workspace
 from tests.core.instruments.test_kind_joint_reading import five_bar as five_bar_with_encoder
+from tests.core.robots.test_jacobian import by_every_origin
 from tests.project import EXAMPLES
 from tests.six_axis_arm import joints, six_axis_arm
 from tests.small_robots import small_arm, write_parallelogram, write_pose_loop
@@ -95,12 +96,12 @@ def test_derivatives_are_those_of_the_reference(case):
     _, moved, q = case
     there = moved.assemble(q)
     read = calib.simulate(moved, q, 0.0).readings
-    plain, every = linearise(moved, there), origin_jacobian(moved.mechanism, there)[1]
+    plain, every = linearise(moved, there), by_every_origin(moved, there)
     observed = observe(moved, there, read, joints=True)
     with compile_kinematics():
         assert np.allclose(linearise(moved, there).positions, plain.positions, rtol=0, atol=SAME)
         assert np.allclose(linearise(moved, there).jacobian, plain.jacobian, rtol=SAME, atol=SAME)
-        assert np.allclose(origin_jacobian(moved.mechanism, there)[1], every, rtol=SAME, atol=SAME)
+        assert np.allclose(by_every_origin(moved, there), every, rtol=SAME, atol=SAME)
         for name, item in observe(moved, there, read, joints=True).items():
             assert np.allclose(item.residuals, observed[name].residuals, rtol=0, atol=SAME)
             assert np.allclose(item.jacobian, observed[name].jacobian, rtol=SAME, atol=SAME)

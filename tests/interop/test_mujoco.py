@@ -11,8 +11,8 @@ import calib
 from calib.core.base.errors import InputError
 from calib.core.commands.predict import command as predict
 from calib.core.data.measurement_files import read_measurements
-from calib.core.data.parameter_files import format_parameters
 from calib.exporting.formats import export
+from tests.core.data.test_parameter_files import parameter_file
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (in a checkout: pip install -e '.[interop]')")
 
@@ -106,7 +106,7 @@ def predict_by_command(robot: calib.Robot, q: np.ndarray, folder: Path) -> np.nd
     """Tool positions from `calib predict`, with the robot's values from a parameter file."""
     header = ",".join(f"{name} [{'m' if name == 'q1' else 'rad'}]" for name in robot.joint_names)
     np.savetxt(folder / "joints.csv", q, delimiter=",", header=header, comments="", fmt="%.17g")
-    (folder / "values.csv").write_text(format_parameters(robot))
+    (folder / "values.csv").write_text(parameter_file(robot))
     out = folder / "predicted.csv"
     arguments = [robot.path, str(folder / "joints.csv"), "--parameters", str(folder / "values.csv"), "--out", str(out)]
     result = CliRunner().invoke(predict, arguments)

@@ -569,7 +569,7 @@ parametrisation:
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("model", ["ur5", "ur5e", "ur3e", "ur10e"])
 def test_models_that_ship_are_those_of_their_stock_robots(tmp_path: Path, model: str) -> None:
-    from calib.core.robots.loading import with_model
+    from calib.fleets.atlas import with_model
 
     path = tmp_path / "stock.urdf"
     path.write_bytes(ur_urdf(nominal_origins(model)))

@@ -7,12 +7,13 @@ import pytest
 
 import calib
 from calib.core.data.in_memory import as_poses
-from calib.core.numerics.observability import raw_columns
 from calib.core.robots.jacobian import linearise
 from calib.core.rows.prediction import without_common_motion
 from calib.planning.assessment import accuracy_by_count, check
 from calib.planning.assessment_text import text_report
 from calib.planning.pose_sampling import sample
+from calib.planning.predicted_error import task_index
+from calib.planning.selection_scores import raw_columns
 from calib.planning.selection_text import text_report as told
 from calib.shared.null_space import describe_group
 from medrue.workspace import target_workspace
@@ -30,6 +31,12 @@ def assessment(medrue):
 
 def with_held(robot, *held):
     return replace(robot, description=robot.description.model_copy(update={"held": held}))
+
+
+def test_task_index_is_root_mean_square_and_largest():
+    result = task_index(np.array([[3.0], [4.0], [0.0]]))
+    assert result.rms == pytest.approx(np.sqrt(25 / 3))
+    assert (result.maximum, result.worst_pose) == (4.0, 1)
 
 
 def test_medrue_is_determined_by_28_of_36(assessment):

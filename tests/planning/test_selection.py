@@ -8,10 +8,11 @@ import pytest
 import calib
 from calib.core.base.errors import InputError
 from calib.core.data.measurements import Poses
-from calib.core.numerics.observability import observability, raw_columns
+from calib.core.numerics.observability import observability
 from calib.core.robots.jacobian import linearise
 from calib.planning.instrument_choice import groups_of, pairs_of
 from calib.planning.selection import select
+from calib.planning.selection_scores import raw_columns
 from calib.shared.candidates import build_candidates
 from medrue.workspace import target_workspace
 from tests.small_robots import small_arm, write_arm

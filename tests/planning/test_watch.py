@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.rows.prediction import RootMeanSquare, predicted_rms
 from calib.planning import next_pose as choice
+from calib.planning.predicted_error import RootMeanSquare, predicted_rms
 from calib.planning.progress import LAST, LEAST, unseen_rms
 from calib.planning.watch import GrowingFile
 from tests.child_programs import start

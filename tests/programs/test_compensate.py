@@ -11,11 +11,10 @@ from click.testing import CliRunner
 
 import calib
 from calib.core.robots.closure import motion
-from calib.core.rows.frames import nearest_to_nominal, program_frame
-from calib.core.rows.known_robot import known_robot
 from calib.core.rows.prediction import PositionUncertainty
 from calib.programs.commands.compensate import command
 from calib.programs.reaching.compensation import compensate
+from calib.programs.reaching.correction_frames import known_robot, nearest_to_nominal, program_frame
 from calib.programs.reaching.inverse import solve
 from medrue import robot_file
 from medrue.closed_form import forward

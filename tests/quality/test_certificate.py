@@ -12,9 +12,9 @@ import calib
 from calib.core.data.in_memory import as_measurements
 from calib.core.judging.repeatability import doubtful_repeats
 from calib.core.numerics.rigid import best_transform
-from calib.core.robots.traceability import TraceabilitySection
 from calib.quality.certificate_command import signer, verify
 from calib.quality.monte_carlo import monte_carlo
+from calib.quality.traceability import TraceabilitySection
 from calib.quality.uncertainty_budget import (
     CENTRING,
     ELSEWHERE,

@@ -11,8 +11,8 @@ import pytest
 import calib
 import viz
 from calib.core.base.errors import DataError, UnreachablePoseError
-from calib.core.rows.prediction import RootMeanSquare
 from calib.planning.next_pose import NextPose
+from calib.planning.predicted_error import RootMeanSquare
 from tests.viz.viz_examples import measurements, medrue_fit, medrue_robot
 
 

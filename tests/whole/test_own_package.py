@@ -174,6 +174,20 @@ def test_its_package_imports_nothing_but_what_is_there_for_others():
     )
 
 
+def test_a_robot_file_of_its_own_is_read_where_a_urdf_is(tmp_path, run_calib):
+    chain = tmp_path / "arm.chain"
+    chain.write_text("turn 0 0 300 0 0 1\nlift 100 0 0 0 1 0\nbend 400 0 0 0 1 0\n")
+    robot = calib.load(chain)
+    assert robot.joint_names == ("turn", "lift", "bend")
+    np.testing.assert_allclose(robot.forward([0.0, np.pi / 2, 0.0], "link_3")[:3, 3], [0.1, 0, -0.1], atol=1e-12)
+    run = run_calib("init", chain, "--out", tmp_path / "arm.yaml")
+    assert run.code == 0, run.err
+    assert "states no limits of joints" in run.out + run.err
+    chain.write_text("turn 0 0\n")
+    with pytest.raises(calib.UrdfError, match=r"arm\.chain, line 1: expected NAME x y z ax ay az"):
+        calib.load(chain)
+
+
 def _entry(**changes):
     entry = {"kind": "theodolite", "target": "prism", "station": {"frame": "base_link"}, "sigma_station": "20 mm"}
     return entry | changes

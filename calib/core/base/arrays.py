@@ -25,6 +25,11 @@ def as_slice(chosen: IntArray) -> IntArray | slice:
     return span if np.array_equal(chosen, np.arange(span.start, span.stop)) else chosen
 
 
+def evenly_spread(n: int, most: int) -> IntArray:
+    """Return at most so many places out of n, evenly spread from the first to the last, (n_places,)."""
+    return np.unique(np.linspace(0, n - 1, min(most, n)).astype(np.intp))
+
+
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return the array itself if it is read-only, and the array that it is a view of; else a read-only copy."""
     owner = array if array.base is None else array.base

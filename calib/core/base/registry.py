@@ -7,14 +7,14 @@ calls `register`. Names are looked up at first use, so that nothing of another p
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
-from functools import lru_cache
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from inspect import isabstract
 from typing import Any, Generic, TypeVar
 
-from pydantic import GetJsonSchemaHandler, PlainValidator, SerializeAsAny, ValidationInfo
+from pydantic import GetJsonSchemaHandler, PlainValidator, SerializeAsAny, TypeAdapter, ValidationInfo
 
 from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.sections import Section
@@ -172,21 +172,40 @@ def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
             raise ValueError(str(error)) from None
         return value if isinstance(value, section) else section.model_validate(value, context=info.context)
 
-    return PlainValidator(read), SerializeAsAny(), _Schema(key, registry)  # type: ignore[type-arg]
+    def schema(handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        schemas = []
+        for name in registry:
+            section = registry[name].section
+            section.model_rebuild()
+            schema = handler.resolve_ref_schema(handler(section.__pydantic_core_schema__)).copy()
+            schema["properties"] = schema["properties"] | {key: {"const": name}}
+            schemas.append(schema)
+        return {"anyOf": schemas}
+
+    return PlainValidator(read), SerializeAsAny(), _Schema(schema)  # type: ignore[type-arg]
+
+
+def capability_entry(key: str) -> tuple[Any, ...]:
+    """Return metadata of `Annotated` that read an entry of a description as a capability does (`calib.entries`).
+
+    The capability is loaded when there is such an entry. Without one, the value is None.
+    """
+
+    @cache
+    def adapter() -> TypeAdapter[Any]:
+        return TypeAdapter(load_entry("calib.entries", key) | None)
+
+    def read(value: Any, info: ValidationInfo) -> Any:
+        return adapter().validate_python(value, context=info.context)
+
+    return PlainValidator(read), _Schema(lambda handler: handler(adapter().core_schema))
 
 
 class _Schema:
-    """The JSON schema of an entry: one of the schemas of the classes, each with its name as the key."""
+    """The JSON schema of a value that a function reads."""
 
-    def __init__(self, key: str, registry: Registry[Any]) -> None:
-        self._key, self._registry = key, registry
+    def __init__(self, schema: Callable[[GetJsonSchemaHandler], dict[str, Any]]) -> None:
+        self._schema = schema
 
     def __get_pydantic_json_schema__(self, _: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        schemas = []
-        for name in self._registry:
-            section = self._registry[name].section
-            section.model_rebuild()
-            schema = handler.resolve_ref_schema(handler(section.__pydantic_core_schema__)).copy()
-            schema["properties"] = schema["properties"] | {self._key: {"const": name}}
-            schemas.append(schema)
-        return {"anyOf": schemas}
+        return self._schema(handler)

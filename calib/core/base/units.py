@@ -101,9 +101,9 @@ def quantity(value: object, dimension: Dimension, where: str, error: type[Except
     return si
 
 
-def in_si(value: Number | str, dimension: Dimension, where: str) -> Number | float:
-    """Return a number as it is [SI], and text with a unit, such as `0.04 mm`, as `quantity` reads it."""
-    return quantity(value, dimension, where) if isinstance(value, str) else value
+def sigma_in_si(sigma: Number | str) -> Number | float:
+    """Return the noise of positions [m], or None, as it is; text with a unit, such as `0.04 mm`, in m."""
+    return quantity(sigma, "length", "sigma") if isinstance(sigma, str) else sigma
 
 
 def split_column(header: str) -> tuple[str, str | None]:

@@ -139,7 +139,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
         if holds is Holds.TO_LAST_AXIS:
             return self._to_last_axis()
         if not lost_by(self._fit.robot, holds):
-            return replace(file_robot(self._fit), values=_values(without_terms(self._fit.robot, holds)))
+            return replace(file_robot(self._fit), values=without_terms(self._fit.robot, holds).values_by_name)
         fitted = (self._fit.reduced or {}).get(holds)
         return None if fitted is None else file_robot(fitted)
 
@@ -197,7 +197,7 @@ def file_robot(fit: Fit) -> FileRobot:
     why = "" if np.all(fit.unknowns.placement) else why_withheld(reached)
     if not fit.converged:
         why = f"its fit did not converge: {fit.message}"
-    return FileRobot(_values(fit.robot), reached, why)
+    return FileRobot(fit.robot.values_by_name, reached, why)
 
 
 def why_withheld(reached: Accuracy) -> str:
@@ -219,7 +219,3 @@ def behind_last_axis(robot: Robot) -> frozenset[str]:
         names.add(parent[link].name)
         link = parent[link].parent
     return frozenset(names)
-
-
-def _values(robot: Robot) -> dict[str, float]:
-    return dict(zip((parameter.name for parameter in robot.parameters), map(float, robot.values), strict=True))

@@ -8,15 +8,13 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 from rich.console import Console
 
-from calib.core.base.arrays import BoolArray, IntArray
 from calib.core.base.errors import CalibrationError, InputError
 from calib.core.base.files import check_file, check_folder, write_file
 from calib.core.base.letters import visible
@@ -25,14 +23,11 @@ from calib.core.base.units import quantity
 from calib.core.base.words import as_data
 from calib.core.base.workers import Progress
 from calib.core.commands.program import OneLineError
-from calib.core.data.measurements import Measurements, Poses
 from calib.core.data.parameter_files import read_parameters
-from calib.core.instruments.kind import Readings
 from calib.core.numerics.losses import LOSSES
 from calib.core.results.result_reading import forced_lines, load, load_result
 from calib.core.robots.loading import first_description
 from calib.core.robots.robot import Robot
-from calib.core.rows.registration import register
 
 SIGMA_HELP = (
     "Noise of one position reading: one standard deviation along each axis [mm]. Default: as the description states"
@@ -286,36 +281,3 @@ def with_values(robot: Robot, parameters: str | None, result: str | None) -> Rob
     if parameters:
         return robot.with_parameters(read_parameters(parameters, robot))
     return load_result(result, robot).robot if result else robot
-
-
-def different_poses(poses: Poses) -> Poses:
-    """Return each pose once, in the order of first visits, with its planned readings in the setup of that visit."""
-    numbers = poses.pose_numbers
-    if poses.n_poses == len(poses):
-        return poses
-    first = np.unique(numbers, return_index=True)[1]
-    setups = np.zeros(len(poses), dtype=np.intp) if poses.setups is None else poses.setups
-    same_setup = setups == setups[first][numbers]
-    plan = {name: _each_once(readings, numbers, same_setup) for name, readings in poses.planned.items()}
-    return replace(poses.subset(first), planned=plan)
-
-
-def _each_once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:
-    """Planned readings of the visits that count, each once, with the visits' new numbers (n,)."""
-    looks = np.column_stack([numbers[readings.visits], readings.pairs, readings.details, counts[readings.visits]])
-    kept = np.sort(np.unique(looks, axis=0, return_index=True)[1])
-    kept = kept[counts[readings.visits[kept]]]
-    return Readings(
-        numbers[readings.visits[kept]], readings.pairs[kept], readings.values[kept], None, readings.details[kept]
-    )
-
-
-def place_by_files(robot: Robot, *files: Poses | None) -> Robot:
-    """Place an unknown base or unknown targets by the first file with measured positions, if any.
-
-    The information of poses depends on the place of the targets.
-    """
-    if not any(parameter.placement for parameter in robot.parameters):
-        return robot
-    data = next((poses for poses in files if isinstance(poses, Measurements)), None)
-    return robot if data is None else register(robot, data)

@@ -11,6 +11,7 @@ import click
 from calib.calibration import fit
 from calib.core.base.errors import ComputationError, InputError
 from calib.core.base.files import image_address
+from calib.core.base.registry import load_entry
 from calib.core.base.words import count_noun
 from calib.core.commands.common import (
     SIGMA_HELP,
@@ -27,7 +28,6 @@ from calib.core.data.measurements import Measurements
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.results.result_content import to_dict
 from calib.core.results.results import RESULT_FILES
-from calib.core.robots.loading import with_model
 from calib.core.robots.robot import Robot
 
 _FOLDER = "out/robot"  # in the proposed next step, if the user named no folder
@@ -134,7 +134,8 @@ def command(
         image_address(logo)
     described = load_robot(robot, output)
     if model is not None:
-        described = with_model(described, str(Path(model).resolve()) if Path(model).is_file() else model)
+        path = str(Path(model).resolve()) if Path(model).is_file() else model
+        described = load_entry("calib.methods", "with_model")(described, path)
     identification = read_measurements(data, described)
     validation = None
     if validate is not None:

@@ -141,8 +141,7 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
             )
         covariance = readings.covariance
         if covariance is None:
-            widths = [len(part.axes) for part in instrument.parts]
-            covariance = instrument.noise.covariance(instrument.points(readings.values), len(readings), widths)
+            covariance = instrument.covariance(readings.values, instrument.noise)
         rows = np.flatnonzero([instrument.parts[k].is_position for k in instrument.part_of_row])
         covariance = covariance.copy()
         covariance[:, rows, :] = covariance[:, :, rows] = 0.0
@@ -194,7 +193,7 @@ def _readings(instrument: Instrument, poses: Poses, values: FloatArray) -> Readi
             f"{instrument.name}: an array does not name the point or thing of each reading; give"
             " calib.Readings with details"
         )
-    width = instrument.values({column.name: np.zeros(0) for column in instrument.columns()}).shape[1]
+    width = instrument.values(dict.fromkeys(instrument.columns(), np.zeros(0))).shape[1]
     if values.shape != (len(poses), width):
         raise DataError(f"{instrument.name}: readings of shape {values.shape}; expected ({len(poses)}, {width})")
     whole = np.all(np.isnan(values), axis=1)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from calib.core.base.errors import DataError, ParameterError
 from calib.core.base.parameter import index_of
 from calib.core.base.units import per_si
-from calib.core.data.table_writing import format_table
 from calib.core.data.tables import check_plausible, read_number, read_table
 from calib.core.robots.loading import RobotLike, as_robot
-from calib.core.robots.robot import Robot
 
 COLUMNS = ("parameter", "value", "unit")
 _LARGEST = 1e9  # [SI]: squares and products of such numbers stay finite
@@ -53,13 +50,3 @@ def read_parameters(path: Path | str, robot: RobotLike, *, complete: bool = Fals
     if complete and absent:
         raise ParameterError(f"{path}: no value for parameter '{absent[0]}'; the file is not complete")
     return values
-
-
-def format_parameters(robot: Robot, comments: Sequence[str] = ()) -> str:
-    """Return CSV text of a robot's current values, after comments; reading it gives the same values to all digits."""
-    names, values, units = [], [], []
-    for parameter, value in zip(robot.parameters, robot.values, strict=True):
-        names.append(parameter.name)
-        values.append(float(value * parameter.per_si))
-        units.append(parameter.unit)
-    return format_table([("parameter", names), ("value", values), ("unit", units)], comments)

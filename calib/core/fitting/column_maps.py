@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, islice, permutations, product
 
 import numpy as np
@@ -77,6 +77,19 @@ class ColumnMap:
     def joints(self, x: FloatArray) -> FloatArray:
         """Return joint values of the robot for the file's values x, (n_poses, n_actuated) each."""
         return x[:, self.columns] * np.array(self.factors) + np.array(self.quarters) * (np.pi / 2)
+
+    def with_factor(self, j: int, factor: float) -> ColumnMap:
+        """Return the map with another factor of joint j."""
+        return replace(self, factors=(*self.factors[:j], factor, *self.factors[j + 1 :]))
+
+    def with_quarter(self, j: int, quarter: int) -> ColumnMap:
+        """Return the map with another number of quarter turns of joint j."""
+        return replace(self, quarters=(*self.quarters[:j], quarter, *self.quarters[j + 1 :]))
+
+    def with_columns(self, joints: Sequence[int], columns: Sequence[int]) -> ColumnMap:
+        """Return the map with other columns of some joints."""
+        changed = dict(zip(joints, columns, strict=True))
+        return replace(self, columns=tuple(changed.get(j, column) for j, column in enumerate(self.columns)))
 
     @property
     def changes(self) -> int:
@@ -174,35 +187,24 @@ def likely_maps(robot: Robot, data: Measurements) -> list[ColumnMap]:
     return list(_maps_with_loops(robot, data) if robot.mechanism.loops else _search_maps(robot, data))
 
 
-def _turning(robot: Robot) -> BoolArray:
-    return np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
-
-
-def _replace_entry(values: tuple, j: int, value: object) -> tuple:  # type: ignore[type-arg]
-    return (*values[:j], value, *values[j + 1 :])
-
-
 def _turns(at: ColumnMap, turning: BoolArray) -> Iterator[ColumnMap]:
     for j, factor in enumerate(at.factors):
-        turned = _replace_entry(at.factors, j, -factor)
-        yield ColumnMap(at.columns, turned, at.quarters)
+        turned = at.with_factor(j, -factor)
+        yield turned
         for quarter in (-1, 0, 1, 2) if turning[j] else ():
-            zero = _replace_entry(at.quarters, j, quarter)
-            yield ColumnMap(at.columns, at.factors, zero)
-            yield ColumnMap(at.columns, turned, zero)
+            yield at.with_quarter(j, quarter)
+            yield turned.with_quarter(j, quarter)
 
 
 def _scales(robot: Robot, at: ColumnMap) -> Iterator[ColumnMap]:
     for j, name in enumerate(robot.joint_names):
         for factor in (*_FACTORS, *USUAL_FACTORS[robot.mechanism.dimensions[name]]):
-            yield ColumnMap(
-                at.columns, _replace_entry(at.factors, j, math.copysign(factor, at.factors[j])), at.quarters
-            )
+            yield at.with_factor(j, math.copysign(factor, at.factors[j]))
 
 
 def _orders(robot: Robot) -> Iterator[ColumnMap]:
     """Other orders of the columns of joints of one sort: all, or those that move two or three columns."""
-    plain, turning = ColumnMap.plain(len(robot.joint_names)), _turning(robot)
+    plain, turning = ColumnMap.plain(len(robot.joint_names)), robot.mechanism.turning
     groups = [np.flatnonzero(turning).tolist(), np.flatnonzero(~turning).tolist()]
     for group in groups:
         if math.factorial(len(group)) <= _ALL_ORDERS:
@@ -212,26 +214,16 @@ def _orders(robot: Robot) -> Iterator[ColumnMap]:
             orders = ((chosen, order) for chosen in some for order in permutations(chosen))
         for places, order in orders:
             if places != order:
-                columns = np.array(plain.columns)
-                columns[list(places)] = order
-                yield ColumnMap(tuple(columns.tolist()), plain.factors, plain.quarters)
+                yield plain.with_columns(places, order)
 
 
 def _maps_with_loops(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
     n = len(robot.joint_names)
     lower, upper = robot.urdf.limits(robot.joint_names)
-    plain, turning = ColumnMap.plain(n), _turning(robot)
-    signs = [ColumnMap(plain.columns, _replace_entry(plain.factors, j, -1.0), plain.quarters) for j in range(n)]
-    yield from signs
-    pairs = [
-        ColumnMap(plain.columns, _replace_entry(_replace_entry(plain.factors, a, -1.0), b, -1.0), plain.quarters)
-        for a, b in combinations(range(n), 2)
-    ]
-    zeros = [
-        ColumnMap(plain.columns, plain.factors, _replace_entry(plain.quarters, j, quarter))
-        for j in np.flatnonzero(turning).tolist()
-        for quarter in (-2, -1, 1, 2)
-    ]
+    plain, turning = ColumnMap.plain(n), robot.mechanism.turning
+    yield from (plain.with_factor(j, -1.0) for j in range(n))
+    pairs = (plain.with_factor(a, -1.0).with_factor(b, -1.0) for a, b in combinations(range(n), 2))
+    zeros = (plain.with_quarter(j, k) for j in np.flatnonzero(turning).tolist() for k in (-2, -1, 1, 2))
     for tried in (*pairs, *zeros, *_orders(robot), *_scales(robot, plain)):
         joints = tried.joints(data.joints)
         if np.all((joints > lower - _MARGIN) & (joints < upper + _MARGIN)):
@@ -242,11 +234,11 @@ def _search_maps(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
     """The best maps of the search, those with fewer changes first among equally good ones."""
     n = len(robot.joint_names)
     plain = ColumnMap.plain(n)
-    turning = _turning(robot) & _zero_matters(robot, data, plain)
+    turning = robot.mechanism.turning & _zero_matters(robot, data, plain)
     once = {*_turns(plain, turning)}
     start = {plain, *once, *_orders(robot), *_scales(robot, plain)}
     if n <= _ALL_SIGNS:
-        start |= {ColumnMap(plain.columns, signs, plain.quarters) for signs in product((1.0, -1.0), repeat=n)}
+        start |= {replace(plain, factors=signs) for signs in product((1.0, -1.0), repeat=n)}
         start |= {other for at in once for other in _turns(at, turning)}
     miss = _bounds(robot, data, sorted(start))
     for _ in range(_ROUNDS):
@@ -269,7 +261,7 @@ def _search_maps(robot: Robot, data: Measurements) -> Iterator[ColumnMap]:
 
 def _zero_matters(robot: Robot, data: Measurements, plain: ColumnMap) -> BoolArray:
     """Whether a quarter turn of each joint's zero changes the bound; an unknown base or target may absorb it."""
-    quarters = [ColumnMap(plain.columns, plain.factors, _replace_entry(plain.quarters, j, 1)) for j in plain.columns]
+    quarters = [plain.with_quarter(j, 1) for j in plain.columns]
     miss, *others = _bounds(robot, data, [plain, *quarters]).values()
     return np.array([abs(other - miss) > _SAME * miss for other in others])
 

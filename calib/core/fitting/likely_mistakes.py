@@ -59,8 +59,7 @@ from calib.core.rows.registration import register
 
 LARGE_NOISE = 0.1
 """Nothing fits if the noise is more than this part of the spread of the measured positions."""
-_CLOSER = 0.2  # with the mistake undone, the nominal robot misses by less than this part of what it missed before,
-_NEAR = 0.2  # and by less than this part of the spread of the measured positions
+_CLOSER = 0.2  # with the mistake undone, the nominal robot misses by less than this part of what it missed before
 _HALF = 0.5  # a fit with other scales of joints leaves less than this part of the noise
 _AS_GOOD = 1.5  # another mistake explains the data as well if it misses by at most this many times the best miss
 _GLANCE = 4  # step through these poses for a first look: do the loops close at all?
@@ -114,7 +113,7 @@ def _nominal_fits(
     robot: Robot, data: Measurements, sound: Measurements, zeros: IntArray
 ) -> tuple[str, ColumnMap | None]:
     """The mistake without which the nominal robot fits; if there is none, the scales with which it comes nearest."""
-    now = min(_misses(robot, [some_visits(data) if len(zeros) == 0 else data])[0], 1.0)
+    now = min(_misses(robot, [some_visits(data) if len(zeros) == 0 else data])[0], 1.0)  # at most the spread
     where = listing([data.labels[k] for k in zeros])
     empty = f"{count_noun(len(zeros), 'reading')} of exactly 0, 0, 0 ({where}) were empty"
     trials = [Trial(empty, some_visits(sound))] if len(zeros) else []
@@ -122,10 +121,10 @@ def _nominal_fits(
     prefix = f"{empty}, and " if len(zeros) else ""
     if not trials or misses[0] > _CLOSER * now:
         undone = list(_undone(robot, sound))
-        misses += _misses(robot, [trial.data for trial in undone], _AS_GOOD * min(_CLOSER * now, _NEAR))
+        misses += _misses(robot, [trial.data for trial in undone], _AS_GOOD * _CLOSER * now)
         trials += [replace(trial, words=prefix + trial.words) for trial in undone]
     best = max(min(misses), 1e-6)
-    if not best < min(_CLOSER * now, _NEAR):
+    if not best < _CLOSER * now:
         scaled = [
             (miss, trial.column_map)
             for miss, trial in zip(misses, trials, strict=True)
@@ -378,7 +377,7 @@ def joint_scales(robot: Robot, data: Measurements, at: ColumnMap | None = None) 
         fit = fit_data(geared, Settings(), mapped)
     except CalibrationError:
         return None
-    found = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
+    found = fit.robot.values_by_name
     known = dict(zip(fit.free_names, fit.statistics.std, strict=True))
     factors, std = list(at.factors), [0.0] * len(names)
     for j, name in enumerate(names):

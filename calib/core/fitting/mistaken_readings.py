@@ -19,6 +19,7 @@ from itertools import combinations, product
 
 import numpy as np
 
+from calib.core.base.arrays import evenly_spread
 from calib.core.base.errors import CalibrationError
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.column_maps import USUAL_FACTORS, ColumnMap
@@ -118,11 +119,9 @@ def _misfits(robot: Robot, data: Measurements) -> _Errors:
 def _trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
     data, n = some_visits(measured), len(robot.joint_names)
     plain = ColumnMap.plain(n)
-    signs = [replace(plain, factors=tuple(-1.0 if k == j else 1.0 for k in range(n))) for j in range(n)]
-    orders = [
-        replace(plain, columns=tuple({a: b, b: a}.get(k, k) for k in range(n))) for a, b in combinations(range(n), 2)
-    ]
-    for at in (*signs, *orders):
+    signs = (plain.with_factor(j, -1.0) for j in range(n))
+    swaps = (plain.with_columns((a, b), (b, a)) for a, b in combinations(range(n), 2))
+    for at in (*signs, *swaps):
         yield Trial(at.words(robot), replace(data, joints=at.joints(data.joints)))
     yield from joint_value_trials(robot, measured)
     for name in data.readings:
@@ -177,7 +176,7 @@ class Trial:
 
 def some_visits(data: Measurements) -> Measurements:
     """Return visits that suffice to show a gross mistake, evenly spread."""
-    return data.subset(np.unique(np.linspace(0, len(data) - 1, _POSES).astype(np.intp)))
+    return data.subset(evenly_spread(len(data), _POSES))
 
 
 def joint_value_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
@@ -207,7 +206,7 @@ def _rescaled_trials(robot: Robot, measured: Measurements) -> Iterator[Trial]:
     lower, upper = robot.urdf.limits(robot.joint_names)
     if not np.all(np.isfinite(upper - lower)):
         return
-    angles = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
+    angles = robot.mechanism.turning
     si = measured.joints
     for numbers, (low, high) in product((np.where(angles, np.degrees(si), 1e3 * si), si), _RANGES):
         reach = high - low

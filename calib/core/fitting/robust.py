@@ -24,6 +24,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.fitting.problem import Evaluation, Problem
+from calib.core.fitting.solved_fit import COMPUTED
 from calib.core.fitting.starts import Starts
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.least_squares import LeastSquaresSolution
@@ -37,6 +38,10 @@ _LINEAR_ROUNDS = 200
 _WEIGHTS_STAND = 1e-4
 _MEDIAN = 0.37  # efficiency of the median of absolute values as a scale, for normal noise (maronna2019)
 _SMALLEST_SCALE = 1e-8  # below ten nanometres a residual is rounding [SI]
+_NO_NOISE = (
+    "the readings agree with the fitted robot as exactly as computed ones: they have no noise by which --loss {loss}"
+    " could tell good ones from bad ones; fit with --loss none"
+)
 _TOO_FEW_LEFT = (
     "the robust loss has rejected so many readings that the rest does not determine the parameters: too many"
     " measurements disagree with each other; check them, or fit with --loss none"
@@ -73,8 +78,19 @@ def solve_robust(solved: RobustSolution, loss: Loss) -> RobustSolution:
         loss: The loss, not `none`.
 
     Raises:
-        NotIdentifiableError: The loss rejects too many readings to determine the parameters.
+        NotIdentifiableError: The loss rejects too many readings to determine the parameters, or readings have no noise.
     """
+    try:
+        return _solve_robust(solved, loss)
+    except NotIdentifiableError:
+        typical = [group.typical for group in solved.problem.whitening.groups]
+        levels = _levels(solved.problem.rows(solved.evaluation, solved.groups)) * solved.groups * typical
+        if np.max(levels) > COMPUTED:
+            raise
+        raise NotIdentifiableError(_NO_NOISE.format(loss=loss)) from None
+
+
+def _solve_robust(solved: RobustSolution, loss: Loss) -> RobustSolution:
     problem, at, scale = solved.problem, solved.evaluation, float("nan")
     layout = problem.whitening.layout
     groups, noise_found = _initial_scales(problem, problem.rows(at, solved.groups), solved.groups)

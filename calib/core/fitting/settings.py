@@ -64,8 +64,6 @@ class Settings:
         if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0):
             raise DataError(f"sigma {self.sigma:g} m: must be a positive number")
         find_loss(self.loss)
-        if isinstance(self.folds, str) and self.folds != "setups":
-            raise InputError(f"folds '{self.folds}': must be a number of folds, or 'setups'")
         if self.starts < 1:
             raise InputError(f"starts {self.starts}: must be 1 or more")
         if self.seed < 0:

@@ -96,12 +96,12 @@ def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, Floa
         residuals: Residuals of the other robot, (n_readings, n_rows) [SI] by instrument.
     """
     unknowns, readings = problem.unknowns, problem.data.readings
-    known = dict(zip((parameter.name for parameter in other.parameters), other.values, strict=True))
+    known = other.values_by_name
     places = [unknowns.names[k] for k in np.flatnonzero(unknowns.placement)]
     sizes = {name: len(own) for name, own in readings.items()}
     if not known.keys() >= set(places) or sizes != {name: len(own) for name, own in residuals.items()}:
         return None
-    placed = problem.evaluate(problem.robot.with_parameters({name: float(known[name]) for name in places}))
+    placed = problem.evaluate(problem.robot.with_parameters({name: known[name] for name in places}))
     moves_alike = all(
         np.allclose(own, residuals[name], rtol=0.0, atol=_ALIKE, equal_nan=True)
         for name, own in placed.residuals.items()

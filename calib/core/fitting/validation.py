@@ -2,8 +2,7 @@
 
 Poses are dealt into folds at random. Those with the same joint values (repeats of one pose that the file does not mark
 as such) go into the same fold, because a repeat is no new pose. Or every setup is a fold: then its errors are those of
-a robot or an instrument that was put up anew, and its own poses find that new place. Or they are cut into blocks of
-poses that follow each other.
+a robot or an instrument that was put up anew, and its own poses find that new place.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.base.words import count_noun
 from calib.core.base.workers import Progress, results_in_order
 from calib.core.data.measurements import Measurements
-from calib.core.data.pose_groups import repeated_poses, shuffled_poses
+from calib.core.data.pose_groups import shuffled_poses
 from calib.core.fitting.error_sets import ErrorSet, Folds
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Instrument, Readings
@@ -127,14 +126,3 @@ def readings_at(readings: Readings, visits: IntArray) -> IntArray:
     number = place[readings.visits]
     indices = np.flatnonzero(number >= 0)
     return indices[np.argsort(number[indices], kind="stable")]
-
-
-def stretches(data: Measurements, count: int) -> list[IntArray]:
-    """Cut the measurements, in their order, into stretches of about equally many poses.
-
-    Returns:
-        Indices of each stretch, ascending, (n_in_stretch,) each; repeats of one pose stay together.
-    """
-    groups = sorted(repeated_poses(data.joints, data.pose_numbers), key=lambda group: int(data.places[group].min()))
-    parts = np.array_split(np.arange(len(groups)), count)
-    return [np.sort(np.concatenate([groups[k] for k in part])) for part in parts if len(part)]

@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray, evenly_spread
 from calib.core.instruments.camera import LEAST_POINTS, cube_rotations, plane_errors, resection, view_poses
 from calib.core.instruments.hand_eye import solve_poses
 from calib.core.numerics.rigid import cross_matrices
@@ -60,7 +60,7 @@ class Sightings:
 
 def guesses(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
     """Return guesses at the places of camera and body, best first, from the present ones and whether each is known."""
-    sample = sightings.select(np.unique(np.linspace(0, len(sightings.view) - 1, _POINTS).astype(np.intp)))
+    sample = sightings.select(evenly_spread(len(sightings.view), _POINTS))
     tried = [now, *_from_views(sightings, now, known), *_from_points(sample, now, known)]
     tried.sort(key=lambda places: _typical(sample, places))
     improved = [refine_places(sample, places, known) for places in tried[:_IMPROVED]]

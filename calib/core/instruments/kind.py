@@ -30,6 +30,9 @@ from calib.core.base.sections import Component, PlaceSection, PosedSection, Sect
 from calib.core.base.units import Dimension
 from calib.core.instruments.noise import Noise
 
+Columns = dict[str, Dimension | None]
+"""Columns of a measurement file by name, with their dimensions (None: a pure number)."""
+
 
 @dataclass(frozen=True)
 class Part:
@@ -60,14 +63,6 @@ class Part:
     def readings(self) -> str:
         """Name of the readings in a sentence."""
         return self.plural or f"{self.name}s"
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a measurement file: its name and dimension (None: a pure number)."""
-
-    name: str
-    dimension: Dimension | None
 
 
 @dataclass(frozen=True)
@@ -144,7 +139,7 @@ class Readings(ReadOnlyArrays):
     def __len__(self) -> int:
         return len(self.visits)
 
-    def subset(self, index: IntArray, visits: IntArray | None = None) -> Readings:
+    def subset(self, index: IntArray | slice, visits: IntArray | None = None) -> Readings:
         """Return the readings with these indices (n,), in this order, with new visits (n,) if given."""
         return Readings(
             self.visits[index] if visits is None else visits,
@@ -152,7 +147,7 @@ class Readings(ReadOnlyArrays):
             self.values[index],
             None if self.covariance is None else self.covariance[index],
             self.details[index],
-            None if self.labels is None else tuple([self.labels[k] for k in index]),
+            None if self.labels is None else tuple(np.array(self.labels, dtype=object)[index].tolist()),
         )
 
 
@@ -297,9 +292,9 @@ class Instrument(ABC):
         """Return the names of the frames (a, b) of its readings; `base` is the measurement frame, the default of a."""
         return ()
 
-    def columns(self) -> tuple[Column, ...]:
+    def columns(self) -> Columns:
         """Return its columns in a measurement file: by default `<name>_<axis>` for each of its rows."""
-        return tuple(Column(f"{self.name}_{axis}", part.dimension) for part in self.parts for axis in part.axes)
+        return {f"{self.name}_{axis}": part.dimension for part in self.parts for axis in part.axes}
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -357,11 +352,11 @@ class Instrument(ABC):
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Turn columns (n,) [SI] by name into values (n, n_values): by default the columns themselves."""
-        return np.stack([columns[column.name] for column in self.columns()], axis=1)
+        return np.stack([columns[name] for name in self.columns()], axis=1)
 
     def cells(self, values: FloatArray) -> dict[str, FloatArray]:
         """Turn values (n, n_values) into columns (n,) [SI] by name, the inverse of `values`."""
-        return {column.name: values[:, k] for k, column in enumerate(self.columns())}
+        return {name: values[:, k] for k, name in enumerate(self.columns())}
 
     @abstractmethod
     def predict(self, seen: Any, unknowns: FloatArray, details: FloatArray) -> FloatArray:
@@ -380,6 +375,10 @@ class Instrument(ABC):
     def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return values (n, n_values) changed by small errors of their rows (n, n_rows) [SI], as noise does."""
         return values + change
+
+    def covariance(self, values: FloatArray, noise: Noise) -> FloatArray:
+        """Return the covariance of readings with values (n, n_values) and this noise, (n, n_rows, n_rows) [SI^2]."""
+        return noise.covariance(self.points(values), len(values), [len(part.axes) for part in self.parts])
 
     def points(self, values: FloatArray) -> FloatArray | None:
         """Return the target's position from values (n, n_values), seen from a, (n, 3) [m]; None if not read."""

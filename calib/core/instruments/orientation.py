@@ -28,7 +28,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.sections import ANGLE_COMPONENTS
 from calib.core.instruments.hand_eye import solve_rotations
 from calib.core.instruments.kind import (
-    Column,
+    Columns,
     Comparison,
     FrameInstrument,
     Guess,
@@ -104,19 +104,18 @@ class Orientation(FrameInstrument):
         """Rotation errors, or tilts."""
         return (TILT,) if self.gravity else (ORIENTATION,)
 
-    def columns(self) -> tuple[Column, ...]:
+    def columns(self) -> Columns:
         """Return the columns of the rotation, or `<name>_tilt_x` and `<name>_tilt_y`."""
         return super().columns() if self.gravity else rotation_columns(self.name, self.rotation)
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return rotation vectors (n, 3), or tilts (n, 2) [rad]."""
-        numbers = np.stack([columns[column.name] for column in self.columns()], axis=1)
+        numbers = super().values(columns)
         return numbers if self.gravity else read_rotations(self.name, self.rotation, numbers)
 
     def cells(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the columns of rotation vectors (n, 3), or of tilts (n, 2) [rad]."""
-        columns = values if self.gravity else write_rotations(self.rotation, values)
-        return {column.name: columns[:, k] for k, column in enumerate(self.columns())}
+        return super().cells(values if self.gravity else write_rotations(self.rotation, values))
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return the rotation vector of R_ab, (n, 3), or tilts, (n, 2) [rad]."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Readings, View
+from calib.core.instruments.kind import Columns, Comparison, FrameInstrument, InstrumentSection, Readings, View
 from calib.core.instruments.noise import AngleSigma, Noise, PartNoise, PositionSigma
 from calib.core.instruments.position import AXES, POSITION
 from calib.core.instruments.rotations import (
@@ -62,20 +62,19 @@ class Pose(FrameInstrument):
         noise = Noise((PartNoise.from_sigma(section.sigma, 3), PartNoise.from_sigma(section.sigma_angle, 3)))
         return cls(name, section.target or name, section.rotation, noise=noise)
 
-    def columns(self) -> tuple[Column, ...]:
+    def columns(self) -> Columns:
         """Return `<name>_x`, `_y`, `_z`, and those of the rotation."""
-        positions = tuple(Column(f"{self.name}_{axis}", "length") for axis in AXES)
-        return positions + rotation_columns(self.name, self.rotation)
+        positions: Columns = {f"{self.name}_{axis}": "length" for axis in AXES}
+        return positions | rotation_columns(self.name, self.rotation)
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return positions and rotation vectors, (n, 6) [m, rad]."""
-        numbers = np.stack([columns[column.name] for column in self.columns()], axis=1)
+        numbers = super().values(columns)
         return np.hstack([numbers[:, :3], read_rotations(self.name, self.rotation, numbers[:, 3:])])
 
     def cells(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the columns of positions and rotation vectors, (n, 6) [m, rad]."""
-        columns = np.hstack([values[:, :3], write_rotations(self.rotation, values[:, 3:])])
-        return {column.name: columns[:, k] for k, column in enumerate(self.columns())}
+        return super().cells(np.hstack([values[:, :3], write_rotations(self.rotation, values[:, 3:])]))
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return p_ab and the rotation vector of R_ab, (n, 6) [m, rad]."""

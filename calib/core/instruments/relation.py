@@ -29,10 +29,20 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray, evenly_spread
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, PlaceSection
 from calib.core.instruments.camera import cube_rotations
-from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Guess, Place, Readings, Scene, View, placed
+from calib.core.instruments.kind import (
+    Columns,
+    Comparison,
+    FrameInstrument,
+    Guess,
+    Place,
+    Readings,
+    Scene,
+    View,
+    placed,
+)
 
 _STEP = 1e-4  # m, rad; for unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
@@ -87,9 +97,9 @@ class Relation(FrameInstrument):
         """Return positions of places from values (n, n_values), in the axes of the target, (n, 3) [m]; else None."""
         return None
 
-    def columns(self) -> tuple[Column, ...]:
+    def columns(self) -> Columns:
         """Return its columns; none for a touch, which has no numbers."""
-        return () if self.touches else super().columns()
+        return {} if self.touches else super().columns()
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -134,7 +144,7 @@ class Relation(FrameInstrument):
         open_ = [(name, COMPONENTS.index(part)) for name in names for part in scene.unknown[name]]
         if not len(scene.readings) or not (open_ or self.unknowns):
             return ()
-        few = np.unique(np.linspace(0, len(scene.readings) - 1, _FEW).astype(np.intp))
+        few = evenly_spread(len(scene.readings), _FEW)
         tried = [_refine_guess(self, scene, start, open_, few, _TRIED) for start in self._starts(scene, names)]
         every = np.arange(len(scene.readings))
         kept = [each[1] for each in sorted(tried, key=lambda each: each[0])[:_KEPT]]

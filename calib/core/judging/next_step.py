@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 from calib.core.base.units import millimetres
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.terms.term_sizes import LEAST_POSES
-from calib.core.fitting.validation import stretches
+from calib.core.fitting.terms.term_sizes import has_poses_for_terms
 from calib.core.judging.reasons import Answer
 from calib.core.judging.rules_model import why_no_origins
 from calib.core.judging.verdict import judge
@@ -87,7 +86,7 @@ def next_step(fit: Fit) -> NextStep:
     open_answers = [answer for answer in answers if answer is not Answer.LOOK and answer not in done]
     if Answer.CORRECT in open_answers:  # other findings come from the mistake
         return _repeat_fit(fit, "correct the data or the description as the reasons say, and fit again")
-    if Answer.ADD_TERMS in open_answers and not _has_poses_for_terms(fit):
+    if Answer.ADD_TERMS in open_answers and not has_poses_for_terms(fit.identification.data):
         open_answers = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in open_answers]
     if fit.convergence.receding_parameters:  # from every start
         open_answers = [Answer.OTHER_POSES if answer is Answer.TRY_STARTS else answer for answer in open_answers]
@@ -102,10 +101,6 @@ def next_step(fit: Fit) -> NextStep:
     if answers:
         return NextStep("look at the largest errors", f"calib view {ROBOT} --result {FOLDER}")
     return _use(fit)
-
-
-def _has_poses_for_terms(fit: Fit) -> bool:
-    return len(stretches(fit.identification.data, LEAST_POSES)) >= LEAST_POSES
 
 
 def _tried_answers(fit: Fit) -> set[Answer]:
@@ -132,8 +127,8 @@ def _use(fit: Fit) -> NextStep:
     """The next step for a result without objections: it depends on the robot, and on what its files hold."""
     verdict = judge(fit)
     if verdict.nothing_to_correct:
-        remarks = {reason.answer for reason in verdict.reasons} - _tried_answers(fit)
-        if Answer.ADD_TERMS in remarks and _has_poses_for_terms(fit):  # errors are left that no parameter describes
+        remarks, data = {reason.answer for reason in verdict.reasons} - _tried_answers(fit), fit.identification.data
+        if Answer.ADD_TERMS in remarks and has_poses_for_terms(data):  # errors are left that no parameter describes
             return _repeat_fit(fit, *_OPTIONS[Answer.ADD_TERMS])
         return NextStep("keep the nominal robot, and test it again later", f"calib verify {FOLDER} measured.csv")
     if own := result_use(fit.nominal.description):

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.arrays import BoolArray, FloatArray, evenly_spread
 from calib.core.base.memoize import memoize
 from calib.core.base.tolerances import stated_tolerance
 from calib.core.base.units import DISPLAY_UNIT, quantity_text
@@ -87,7 +87,7 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
 
 def _poses_over_range(fit: Fit, j: int, allowed: float) -> FloatArray:
     used = fit.identification.data.joints
-    q = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(np.intp))].copy()
+    q = used[evenly_spread(len(used), _TRIED)].copy()
     middle = np.mean(q[:, j])
     lower, upper = (limits[j] for limits in fit.nominal.urdf.limits(fit.nominal.joint_names))
     q[:, j] = np.clip(middle + allowed * np.linspace(-0.5, 0.5, len(q)), lower, upper)
@@ -97,7 +97,7 @@ def _poses_over_range(fit: Fit, j: int, allowed: float) -> FloatArray:
 @memoize
 def _uncertain_at_used(fit: Fit) -> float:
     data = fit.identification.data
-    used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
+    used = evenly_spread(len(data), _SAMPLED)
     return _size(_slope(fit, data.joints[used], data.conditions.select(used)), fit.uncertainty.covariance_of(fit.robot))
 
 
@@ -137,8 +137,7 @@ def turns_not_counted(fit: Fit) -> Iterator[Reason]:
 def _joint_ranges(robot: Robot) -> FloatArray:
     """Range of each actuated joint, a turn at most, (n_actuated,) [m or rad]; infinite where unknown."""
     lower, upper = robot.urdf.limits(robot.joint_names)
-    turns = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
-    return np.asarray(np.minimum(upper - lower, np.where(turns, 2 * np.pi, np.inf)))
+    return np.asarray(np.minimum(upper - lower, np.where(robot.mechanism.turning, 2 * np.pi, np.inf)))
 
 
 def check_curve_ranges(fit: Fit) -> Iterator[Reason]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray, evenly_spread
 from calib.core.base.errors import CalibrationError
 from calib.core.data.pose_groups import pose_labels
 from calib.core.judging.acceptance_system import Change, System, candidates
@@ -32,7 +32,7 @@ def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
     if not len(promise.joints):
         return ()
     first = np.unique(pose_labels(promise.joints), return_index=True)[1]
-    some = np.sort(first)[np.unique(np.linspace(0, len(first) - 1, min(MOST, len(first))).astype(np.intp))]
+    some = np.sort(first)[evenly_spread(len(first), MOST)]
     try:
         order = some[_order(promise, promise.joints[some], change)]
         for count in _COUNTS:

@@ -46,7 +46,7 @@ from calib.core.judging.reasons import Code, Reason, Verdict
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.row_derivatives import has_time, scales
 from calib.core.robots.terms.term import Context
-from calib.core.rows.known_robot import KnownRobot
+from calib.core.rows.frames import KnownRobot
 
 _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.worse_on_validation,

@@ -9,11 +9,8 @@ With singular values s1 >= ... >= sn of the identification Jacobian (n kept colu
     O5 = 1 / (1/s1 + ... + 1/sn)             Sun and Hollerbach 2008
 
 Only the order that O1 gives does not depend on the units of the parameters (a change of units multiplies every O1 by
-the same number); the others are meaningful on scaled columns. None of them is a length that a user needs. That is the
-
-    task index: root mean square over poses of the predicted distance between true and predicted position,
-
-for poses where the robot will work, given the poses that were measured and the noise; and its largest value.
+the same number); the others are meaningful on scaled columns. None of them is a length that a user needs, as the error
+predicted where the robot will work is.
 
 The information of rows and priors on the unknowns decides the uncertainty of everything that follows. With u = (p
 - p_expected) / s the scaled free parameters, J the whitened rows (each with noise 1) and P the rows of the prior
@@ -34,7 +31,6 @@ the same products.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -42,15 +38,12 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays, hold
-from calib.core.base.parameter import Parameter
-from calib.core.base.units import PER_SI
 from calib.core.numerics import linalg
 from calib.core.numerics.identifiability import (
     MANY_COLUMNS,
     Rank,
     factor_products,
     inverse_of_triangle,
-    numerical_rank,
     rank_of,
     reduce_rows,
     square_of_triangle,
@@ -83,62 +76,6 @@ def observability(singular_values: FloatArray, n_poses: int) -> dict[str, float]
         "O4": float(s[-1] ** 2 / s[0]),
         "O5": float(1.0 / np.sum(1.0 / s)),
     }
-
-
-def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter], *, lengths: bool = True) -> FloatArray:
-    """Return the Jacobian in the units of tables, as in the paper: mm per unit of each parameter (mm or deg).
-
-    Args:
-        jacobian: d(positions)/d(parameters), (..., n_parameters) [m per m or rad].
-        lengths: Whether rows are lengths [m]; rows divided by their noise have no unit, and are not converted.
-    """
-    per_unit = np.array([1.0 / parameter.per_si for parameter in parameters])
-    return (PER_SI["length"]["mm"] if lengths else 1.0) * jacobian * per_unit
-
-
-def observability_of(
-    rows: FloatArray, parameters: Sequence[Parameter], n_poses: int, *, lengths: bool = True
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Return O1 to O5 of poses, on scaled columns [m] and on raw ones (mm per unit of table).
-
-    Where the poses are short of rank, only non-zero singular values count.
-
-    Args:
-        rows: Scaled Jacobian, (..., n_parameters) [m]; leading axes are flattened.
-        n_poses: Number of poses behind the rows.
-        lengths: Whether rows are lengths; rows divided by their noise give indices without unit.
-    """
-    width = rows.shape[-1]
-    scales = np.array([parameter.sigma_si for parameter in parameters])
-    scaled = numerical_rank(rows.reshape(-1, width))
-    raw = numerical_rank(raw_columns(rows / scales, parameters, lengths=lengths).reshape(-1, width))
-    kept = slice(max(scaled.rank, 1))
-    return observability(scaled.singular_values[kept], n_poses), observability(raw.singular_values[kept], n_poses)
-
-
-@dataclass(frozen=True)
-class TaskIndex:
-    """Predicted position error over a set of poses, from measurement noise and priors.
-
-    Attributes:
-        rms: Root mean square over poses and targets of the predicted distance [m]; infinite where a position depends on
-            parameters that nothing determines.
-        maximum: Largest predicted distance [m].
-        worst_pose: Pose of the largest.
-    """
-
-    rms: float
-    maximum: float
-    worst_pose: int
-
-
-def task_index(position_errors: FloatArray) -> TaskIndex:
-    """Summarise predicted position errors (n_poses, n_targets) [m], from `Information.position_errors`."""
-    return TaskIndex(
-        float(np.sqrt(np.mean(position_errors**2))),
-        float(np.max(position_errors)),
-        int(np.argmax(np.max(position_errors, axis=1))),
-    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,8 +31,7 @@ from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.frames import ReportedUncertainty
-from calib.core.rows.known_robot import KnownRobot
+from calib.core.rows.frames import KnownRobot, ReportedUncertainty
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty
 
 _DIGITS = 9  # decimals to which joint values and readings of two files are compared [SI]

@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from calib.core.base.letters import visible
 from calib.core.base.version import PROGRAM
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import urdf_of_origins
 from calib.core.robots.urdf.text import UrdfText, apply_edits, parse_urdf
-from calib.core.robots.urdf.writing import quote_attribute
 
 _MARK = "calib: calibrated origins"
-_MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")
 _ROUNDING = 1e-9
 """A parameter is not shown if its change is at most this in its unit [mm, deg]: 1e-3 nm or 2e-11 rad."""
 _EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
@@ -37,12 +35,6 @@ def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
     cleaned = _EARLIER.sub(b"", edited)
     urdf = parse_urdf(cleaned, robot.urdf.path)
     return with_inserted(urdf, "\n" + comment(lines), at=urdf.root_span[1])
-
-
-def with_mesh_prefix(source: bytes, prefix: str) -> bytes:
-    """Return URDF bytes with a prefix before every mesh path that is relative to the URDF."""
-    start = quote_attribute(prefix.rstrip("/") + "/")[1:-1].encode("ascii", "xmlcharrefreplace")
-    return _MESH.sub(lambda match: match.group() + start, source)
 
 
 def source_lines(robot: Robot) -> list[str]:
@@ -70,11 +62,6 @@ def with_inserted(urdf: UrdfText, text: str, at: int) -> bytes:
     """Return the file with text inserted at a byte, in ASCII, with the file's line ends."""
     line_end = b"\r\n" if b"\r\n" in urdf.source else b"\n"
     return apply_edits(urdf.source, [(at, at, text.encode("ascii", "xmlcharrefreplace").replace(b"\n", line_end))])
-
-
-def numbers(values: Iterable[float]) -> str:
-    """Return the shortest decimals that read back to the same floats, separated by spaces."""
-    return " ".join(repr(float(value)) if value != 0 else "0" for value in values)
 
 
 def comment(lines: Sequence[str]) -> str:

@@ -94,7 +94,7 @@ def _file_robot(folder: str, entry: dict[str, Any], holds: Holds, robot: Robot) 
         units = [DISPLAY_UNIT[robot.mechanism.dimensions[zero["joint"]]] for zero in zeros]
         offsets = np.array([from_unit(float(zero["offset"]), unit) for zero, unit in zip(zeros, units, strict=True)])
         return FileRobot({}, accuracy, entry["withheld"] or "", signs, offsets)
-    values = dict(zip((p.name for p in robot.parameters), map(float, robot.values), strict=True))
+    values = robot.values_by_name
     if name is not None:
         values = read_parameters(Path(folder) / f"{name}.csv", without_terms(robot, holds), complete=True)
     return FileRobot(values, accuracy, entry["withheld"] or "")
@@ -200,10 +200,8 @@ class EarlierResult(LoadedResult):
         for name in dict.fromkeys(targets.tolist()):
             instrument = self.robot.instrument(name)
             cells = {
-                column.name: table.column(
-                    f"measured_{column.name.removeprefix(f'{name}_')}", column.dimension, gaps=True
-                )
-                for column in instrument.columns()
+                column: table.column(f"measured_{column.removeprefix(f'{name}_')}", dimension, gaps=True)
+                for column, dimension in instrument.columns().items()
             }
             values = np.broadcast_to(instrument.values(cells), (len(sets), instrument.values(cells).shape[1]))
             for label, own in result.items():

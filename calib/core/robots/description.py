@@ -18,6 +18,7 @@ from pydantic_core import ErrorDetails
 
 from calib.core.base.errors import DescriptionError, nearest
 from calib.core.base.files import read_text
+from calib.core.base.registry import capability_entry
 from calib.core.base.sections import (
     COMPONENTS,
     LENGTH_COMPONENTS,
@@ -36,11 +37,9 @@ from calib.core.base.units import Dimension
 from calib.core.instruments.kinds import AnyInstrument
 from calib.core.instruments.noise import PositionSigma
 from calib.core.robots.fleet_prior import FleetSection
-from calib.core.robots.surroundings import Acceptance, Obstacles, ShapeSection, SightSection
 from calib.core.robots.terms.gravity import GravitySection, InclinometerSection
 from calib.core.robots.terms.term import TermSection
 from calib.core.robots.terms.terms import AnyTerm
-from calib.core.robots.traceability import TraceabilitySection
 
 
 class BaseSection(FrameSection):
@@ -66,8 +65,8 @@ class TargetSection(PlaceSection):
     """
 
     what = "target"
-    shape: ShapeSection | None = None
-    acceptance: Acceptance | None = None
+    shape: Annotated[Any, *capability_entry("shape")] = None
+    acceptance: Annotated[Any, *capability_entry("acceptance")] = None
 
 
 class OriginSection(Section):
@@ -118,8 +117,8 @@ class Description(Section):
     `fleet` is what other robots of the model are like (`calib fleet` writes it); `model` takes it from a model that the
     program knows, such as `ur5e`, or from such a file.
     `obstacles` are what the robot must not touch, and parts of its tool; `self_clearance` is the distance that its
-    links keep from each other; `sight` is from where a tracker sees the targets (`calib.core.robots.surroundings`).
-    `traceability` is where the measurements come from, for a certificate (`calib.core.robots.traceability`).
+    links keep from each other; `sight` is from where a tracker sees the targets.
+    `traceability` is where the measurements come from, for a certificate.
     `in_use` has parameters as the controller has them now, if they were computed from the same measurements.
     `tolerance` is how far the tool may be off, 95 % of the time: a verdict compares its claim with it [m].
     `join` says what joins files without joint values to those with them: the column `pose`, the order of rows, or the
@@ -165,10 +164,10 @@ class Description(Section):
     in_use: dict[str, Quantity] = Field(default_factory=dict)
     sigma: PositionSigma | None = None
     tolerance: PositiveLength | None = None
-    obstacles: Obstacles | None = None
+    obstacles: Annotated[Any, *capability_entry("obstacles")] = None
     self_clearance: Annotated[Length, Field(ge=0)] = 0.005
-    sight: SightSection | None = None
-    traceability: TraceabilitySection | None = None
+    sight: Annotated[Any, *capability_entry("sight")] = None
+    traceability: Annotated[Any, *capability_entry("traceability")] = None
     singularity_limit: Annotated[float, Field(gt=0, lt=1)] = 0.02
     columns: dict[str, str] = Field(default_factory=dict)
     join: Literal["pose", "rows", "time"] = "pose"
@@ -271,8 +270,6 @@ def _is_tag(k: int, location: tuple[int | str, ...]) -> bool:
         return k in (1, 3)
     if location[0] == "instruments":
         return k > 2 and location[k] in _FORMS
-    if location[0] == "obstacles":
-        return k == 1
     return location[0] == "sigma" and k == 1 and location[k] in _FORMS
 
 

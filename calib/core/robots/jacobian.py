@@ -47,6 +47,7 @@ class Linearisation:
     joint_derivative: FloatArray | None = None
 
 
+@one_blas_thread
 def linearise(
     robot: Robot, configurations: Configurations, *, turns: bool = False, joints: bool = False
 ) -> Linearisation:
@@ -54,47 +55,18 @@ def linearise(
 
     `turns` adds the derivative of the targets' orientations, `joints` derivatives by the actuated joints.
     """
-    if not robot.terms and not joints:
-        twists = parameter_twists(robot)
-        return Linearisation(*origin_jacobian(robot.mechanism, configurations, twists, turns=turns))
-    twists = np.hstack([parameter_twists(robot), joint_twists(robot.mechanism)])
-    positions, both = origin_jacobian(robot.mechanism, configurations, twists, turns=turns)
-    n, n_targets, n_rows, width = both.shape
-    every = np.arange(len(robot.parameters))
-    jacobian = derivative_by_parameters(robot, both.reshape(n, -1, width), configurations.term_columns, every)
+    mechanism, twists, targets = robot.mechanism, motion_twists(robot, joints=joints), robot.mechanism.targets
+    n, n_targets, n_rows, width = len(configurations.actuated), len(targets), 6 if turns else 3, twists.shape[1]
+    positions, both = np.empty((n, n_targets, 3)), np.empty((n, n_targets, n_rows, width))
+    for part, swept in sweeps(mechanism, configurations, targets):
+        for t, target in enumerate(targets):
+            positions[part, t] = kinematics.value(swept, target)
+        relative_motion(mechanism, swept, targets, twists, angular=turns, out=both[part])
+    rows, every = both.reshape(n, n_targets * n_rows, width), np.arange(len(robot.parameters))
+    jacobian = derivative_by_parameters(robot, rows, configurations.term_columns, every)
     first = robot.coefficients.start
     by_joint = both[..., first : first + len(robot.joint_names)] if joints else None
-    return Linearisation(positions, jacobian.reshape(n, n_targets, n_rows, -1), by_joint)
-
-
-@one_blas_thread
-def origin_jacobian(
-    mechanism: Mechanism,
-    configurations: Configurations,
-    twists: FloatArray | None = None,
-    *,
-    turns: bool = False,
-) -> tuple[FloatArray, FloatArray]:
-    """Return positions of all targets (n, n_targets, 3) [m], and their derivative by the twist of every origin.
-
-    Args:
-        configurations: Assembled poses.
-        twists: Combinations (6 n_joints, k) to take the derivative along instead.
-        turns: Whether dw follows dp.
-
-    Returns:
-        Positions, and derivative (n, n_targets, 3 or 6, 6 n_joints or k): origins in the order of
-        `mechanism.origin_names`, six components [linear; angular] each, right perturbations in the joint's own frame.
-    """
-    n, n_targets = len(configurations.actuated), len(mechanism.targets)
-    width = 6 * mechanism.n_joints if twists is None else twists.shape[1]
-    positions = np.empty((n, n_targets, 3))
-    derivative = np.empty((n, n_targets, 6 if turns else 3, width))
-    for part, swept in sweeps(mechanism, configurations, mechanism.targets):
-        for t, target in enumerate(mechanism.targets):
-            positions[part, t] = kinematics.value(swept, target)
-        relative_motion(mechanism, swept, mechanism.targets, twists, angular=turns, out=derivative[part])
-    return positions, derivative
+    return Linearisation(positions, jacobian.reshape(n, n_targets, n_rows, len(every)), by_joint)
 
 
 def sweeps(
@@ -127,15 +99,16 @@ def relative_motion(
     mechanism: Mechanism,
     swept: kinematics.Sweep,
     pairs: tuple[RelativeFrame, ...],
-    twists: FloatArray | None,
+    twists: FloatArray,
     *,
     angular: bool,
     out: FloatArray | None = None,
 ) -> FloatArray:
-    """Return d[dp; dw]/d(origin twists) of frames b seen from frames a, (n, n_pairs, 3 or 6, 6 n_joints or k).
+    """Return d[dp; dw]/d(origin twists) of frames b seen from frames a, (n, n_pairs, 3 or 6, k).
 
     Args:
-        twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
+        twists: Combinations (6 n_joints, k) of origin twists to take the derivative along: origins in the order of
+            `mechanism.origin_names`, right perturbations [linear; angular] in the joint's own frame.
         angular: Whether to include dw.
         out: Array for the result, if there is one.
     """
@@ -165,16 +138,16 @@ def _motion(
     swept: kinematics.Sweep,
     rows: IntArray,
     signs: FloatArray,
-    twists: FloatArray | None,
+    twists: FloatArray,
     direct: FloatArray,
     out: FloatArray | None = None,
 ) -> FloatArray:
-    """Return dx/dxi of the module docstring, (n, n_rows, 6 n_joints or k), in `out` if that is given.
+    """Return dx/dxi of the module docstring, (n, n_rows, k), in `out` if that is given.
 
     Args:
         rows: What x is: frames and coordinates (`kinematics.motion_rows`), (4, n_rows).
         signs: Sign with which each joint moves each row, (n_rows, n_joints).
-        twists: Combinations to take the derivative along, (6 n_joints, k); None: every origin twist.
+        twists: As in `relative_motion`, (6 n_joints, k).
         direct: Further derivative of x by the passive joints, (n_rows, n_passive).
     """
     shared = swept.shared
@@ -195,14 +168,26 @@ def _motion(
     return result
 
 
-def parameter_twists(robot: Robot) -> FloatArray:
-    """Return twists of all origins per parameter, without coefficients of joint terms, (6 n_joints, k)."""
-    mechanism = robot.mechanism
+def motion_twists(robot: Robot, index: IntArray | None = None, *, joints: bool = False) -> FloatArray:
+    """Return twists of all origins per parameter that is no coefficient, and per driven joint, (6 n_joints, k).
+
+    Those of a driven joint, the joint's axis at its own origin, come last, with joint terms or with `joints`.
+
+    Args:
+        index: Parameters (n_index,) whose twists are needed; those of others are left 0. All if not given.
+    """
+    mechanism, n = robot.mechanism, robot.n_origin_parameters
     matrix = np.zeros((6 * mechanism.n_joints, robot.coefficients.start))
-    for name, twist in robot.parametrisation.twists(robot.values[: robot.n_origin_parameters]).items():
-        row = 6 * mechanism.origin_names.index(name)
-        matrix[row : row + 6, : robot.n_origin_parameters] = twist
-    return matrix
+    if index is None or len(index):
+        for name, twist in robot.parametrisation.twists(robot.values[:n]).items():
+            row = 6 * mechanism.origin_names.index(name)
+            matrix[row : row + 6, :n] = twist
+    if index is not None:
+        matrix *= np.isin(np.arange(matrix.shape[1]), index)
+    if not (joints or robot.terms):
+        return matrix
+    by_joint = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]
+    return np.hstack([matrix, by_joint.reshape(len(matrix), -1)])
 
 
 def derivative_by_parameters(
@@ -232,9 +217,3 @@ def derivative_by_parameters(
             np.matmul(derivative[:, :, moved], phi, out=part)
             filled += len(own)
     return result
-
-
-def joint_twists(mechanism: Mechanism) -> FloatArray:
-    """Return twists of all origins per driven joint, (6 n_joints, n_driven): the joint's axis at its own origin."""
-    by_joint: FloatArray = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]
-    return by_joint.reshape(6 * mechanism.n_joints, -1)

@@ -20,10 +20,6 @@ from calib.core.robots.terms.terms import TERMS
 from calib.core.robots.urdf.reader import UrdfJoint
 from calib.core.robots.urdf.text import UrdfText
 
-_COMMAND_ROUNDS = 50
-_COMMANDED = 1e-10  # largest distance of a joint from its goal at the end [m or rad]
-_CONVERGED = 1e-14  # the iteration ends once all joints are nearer to their goals [m or rad]
-
 
 def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, where: str) -> tuple[JointTerm, ...]:
     """Build the joint terms of a description.
@@ -95,8 +91,8 @@ def with_terms(robot: SomeRobot, sections: Sequence[TermSection]) -> SomeRobot:
         mechanism = nominal.with_placements(robot.parametrisation.placements(robot.values[: robot.n_origin_parameters]))
         mode = replace(robot.mode, mechanism=nominal, actuated=nominal.without_tilts(robot.home[None])[0])
         changed = replace(changed, nominal=nominal, mechanism=mechanism, mode=mode)
-    value_of = dict(zip((parameter.name for parameter in robot.parameters), robot.values, strict=True))
-    return replace(changed, values=np.array([value_of.get(p.name, p.nominal_si) for p in changed.parameters]))
+    known = robot.values_by_name
+    return replace(changed, values=np.array([known.get(p.name, p.nominal_si) for p in changed.parameters]))
 
 
 def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None) -> tuple[FloatArray, ...]:
@@ -121,31 +117,3 @@ def actual_joints(robot: RobotData, q: FloatArray, columns: tuple[FloatArray, ..
         if term.adds:
             errors[:, driven_by(term, robot.mechanism)] += phi @ values
     return robot.mechanism.without_tilts(q) + errors
-
-
-def commands_for(robot: RobotData, actual: FloatArray, context: Context | None = None) -> FloatArray:
-    """Return the commands (n, n_actuated) at which the driven joints (n, n_driven or n_actuated) are at `actual` [m or
-    rad].
-
-    q = actual - dq(q) is iterated until it converges. Joint errors change so little with q that each round gains
-    digits. Where they change much, as where backlash changes its side, a round that gains nothing is taken back, and
-    the next step is half as long. The result is NaN where this does not converge: a joint that falls from one side of
-    its play to the other cannot be between them.
-    """
-    n_actuated = len(robot.joint_names)
-    goal = q = np.array(actual[:, :n_actuated])
-    if not robot.terms:
-        return q
-    part, off = np.ones((len(q), 1)), np.full((len(q), 1), np.inf)
-    best, step = q, np.zeros_like(q)
-    for _ in range(_COMMAND_ROUNDS):
-        left = goal - actual_joints(robot, q, term_columns(robot, q, context))[:, :n_actuated]
-        still = np.max(np.abs(left), axis=1, keepdims=True, initial=0.0)
-        worse = (still > off) & (still > _COMMANDED)
-        part, off = np.where(worse, part / 2, part), np.where(worse, off, still)
-        best, step = np.where(worse, best, q), np.where(worse, step / 2, part * left)
-        q = best + step
-        if not np.any(still >= _CONVERGED):
-            break
-    q[np.flatnonzero(off > _COMMANDED)] = np.nan
-    return q

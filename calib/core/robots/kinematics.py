@@ -71,7 +71,7 @@ class TwistMap:
     """Twists of origins along which to differentiate some rows.
 
     Attributes:
-        twists: Combinations, (6 n_joints, k); None: every origin twist.
+        twists: Combinations, (6 n_joints, k).
         signs: Sign with which each origin moves each row and each row of the loops, (n_rows + n_loop_rows, n_reduced).
         n_rows: Number of rows without those of the loops.
         before: The twists in the frames before the origins that count, (n_reduced, 6, k).
@@ -79,7 +79,7 @@ class TwistMap:
         select: E of the passive joints, (n_joints, n_passive).
     """
 
-    twists: FloatArray | None
+    twists: FloatArray
     signs: FloatArray
     n_rows: int
     before: FloatArray
@@ -179,7 +179,7 @@ class SweepCache:
         a, b, axis = self.mechanism.loop_rows.T
         return self.reduced.places[a], self.reduced.places[b], axis
 
-    def twist_map(self, twists: FloatArray | None, signs: FloatArray) -> TwistMap:
+    def twist_map(self, twists: FloatArray, signs: FloatArray) -> TwistMap:
         """Return a `TwistMap` of twists (6 n_joints, k) and signs (n_rows, n_joints); that of the last call is kept."""
         last, counts, n_rows = self._along, self.reduced.joints, len(signs)
         signs = np.concatenate([signs, self.mechanism.loop_signs])[:, counts]

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.core.base.errors import DescriptionError, InputError, nearest, require_known
-from calib.core.base.registry import load_group
+from calib.core.base.errors import DescriptionError, InputError, require_known
+from calib.core.base.registry import load_entry
 from calib.core.base.sections import read_yaml
 from calib.core.base.units import Dimension, mapped_column, per_si
 from calib.core.instruments.kind import Instrument, JointInstrument
@@ -33,9 +33,6 @@ from calib.core.robots.terms.gravity import columns_of
 from calib.core.robots.terms.terms import condition_columns
 from calib.core.robots.urdf.arm_chain import ArmChain, arm_chain
 from calib.core.robots.urdf.text import UrdfText, is_ur_kinematics, read_urdf
-
-_SAME_ORIGIN = 1e-4
-"""Difference that rounding may leave between the origins of a stock URDF and of its model [m or 1]."""
 
 
 def load(path: str | Path) -> Robot:
@@ -173,42 +170,6 @@ def as_robot(robot: RobotLike) -> Robot:
     return robot
 
 
-def with_model(robot: Robot, model: str) -> Robot:
-    """Return a robot with the prior of its model (`calib.core.robots.fleet_prior`).
-
-    Args:
-        robot: Not calibrated yet; names of its joints may have a prefix before those of the model.
-        model: Name of a model that a capability or another package brings, such as `ur5e`; or the file that `calib
-            fleet` wrote, beside the robot's description.
-
-    Raises:
-        DescriptionError: No such model, or the robot is not of it.
-    """
-    known = {name: path for _, given in load_group("calib.models", "model") for name, path in given.items()}
-    if model not in known and Path(model).suffix.lower() not in (".yaml", ".yml"):
-        raise DescriptionError(
-            f"{robot.path}: model: no model '{model}'{nearest(model, known)}; or give a file that calib fleet wrote"
-        )
-    of_model = load(known.get(model, Path(robot.path).parent / model))
-    section, joints = of_model.description.fleet, of_model.joint_names
-    if section is None:
-        raise DescriptionError(f"{model}: has no key 'fleet'; calib fleet writes it")
-    prefix = next((name.removesuffix(joints[0]) for name in robot.joint_names if name.endswith(joints[0])), "")
-    for name in joints:
-        place = robot.nominal.placement(prefix + name) if prefix + name in robot.nominal.origin_names else None
-        if place is None or not place.isApprox(of_model.nominal.placement(name), _SAME_ORIGIN):
-            raise DescriptionError(
-                f"{robot.path}: is not the stock robot '{model}': joint '{prefix + name}' is "
-                + ("missing" if place is None else "elsewhere in that model; give the stock URDF")
-            )
-    own = {p.name for p in robot.parameters}
-    entries = {prefix + name: entry for name, entry in section.parameters.items() if prefix + name in own}
-    if not entries:
-        raise DescriptionError(f"{robot.path}: none of the joint origins that '{model}' knows is free")
-    fleet = section.model_copy(update={"parameters": entries, "unlike": ()})
-    return build(robot.description.model_copy(update={"fleet": fleet}), robot.urdf, robot.path)
-
-
 def build(description: Description, urdf: UrdfText, where: str) -> Robot:
     """Put a robot together at its nominal values; a description that does not fit its URDF is a `DescriptionError`."""
     instruments = instruments_of(description, where)
@@ -228,7 +189,8 @@ def build(description: Description, urdf: UrdfText, where: str) -> Robot:
     robot.parameters.places(description.held, f"{where}: held")  # all are known
     robot.parameters.places(description.elimination_order, f"{where}: elimination_order")
     if description.model is not None and description.fleet is None:
-        return with_model(robot, description.model)
+        known: Robot = load_entry("calib.methods", "with_model")(robot, description.model)
+        return known
     return replace(robot, values=np.array([parameter.nominal_si for parameter in robot.parameters]))
 
 
@@ -237,7 +199,8 @@ def _check_columns(
 ) -> None:
     """Raise `DescriptionError` if a foreign column stands for something that is not read."""
     dimensions: dict[str, Dimension | None] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
-    dimensions |= {column.name: column.dimension for instrument in instruments for column in instrument.columns()}
+    for instrument in instruments:
+        dimensions |= instrument.columns()
     dimensions |= condition_columns()
     for sensor in description.inclinometers:
         dimensions |= columns_of(sensor)

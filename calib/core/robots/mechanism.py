@@ -230,19 +230,19 @@ class Mechanism(ReadOnlyArrays):
         """All origins as `flat_poses`, (n_joints, 12)."""
         return flat_poses(self.model.jointPlacements)[1:].copy()
 
-    def twists_before(self, twists: FloatArray | None) -> FloatArray:
+    def twists_before(self, twists: FloatArray) -> FloatArray:
         """Return Ad(placement) xi, twists of origins in the frames before them, (n_joints, 6, k).
 
-        xi are (6 n_joints, k), of all origins; None: every one alone.
+        xi are (6 n_joints, k), of all origins.
         """
-        n, every = self.n_joints, np.eye(6 * self.n_joints) if twists is None else twists
+        n = self.n_joints
         rotation = self.placements[:, :9].reshape(n, 3, 3).transpose(0, 2, 1)
         x, y, z = self.placements[:, 9:].T[:, :, None]
         along, across, up = rotation.transpose(1, 0, 2)
         action = np.zeros((n, 6, 6))
         action[:, :3, :3] = action[:, 3:, 3:] = rotation
         action[:, :3, 3:] = np.stack([y * up - z * across, z * along - x * up, x * across - y * along], axis=1)
-        return np.matmul(action, every.reshape(n, 6, -1))
+        return np.matmul(action, twists.reshape(n, 6, -1))
 
     def interpolated(self, other: Mechanism, part: float) -> Mechanism:
         """Return the mechanism whose origins have moved by this part (0 to 1) of the way to those of `other`."""
@@ -290,6 +290,11 @@ class Mechanism(ReadOnlyArrays):
         """Mask of the joints that move a target, a view or a loop, (n_joints,)."""
         pairs = self.targets + self.views + self.loops
         return np.any([self.direction_signs(pair) != 0 for pair in pairs], axis=0)
+
+    @cached_property
+    def turning(self) -> BoolArray:
+        """Mask of the actuated joints that turn, (n_actuated,)."""
+        return np.array([self.dimensions[name] == "angle" for name in self.actuated], dtype=bool)
 
     @cached_property
     def joint_scale(self) -> FloatArray:

@@ -205,5 +205,5 @@ def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: str) -> Some
     description = robot.description.model_copy(update={"prior": priors})
     places = places_of(description, robot.instruments, robot.path)
     parametrisation = build_parametrisation(description, robot.urdf, robot.nominal, places, robot.path)
-    known = dict(zip((parameter.name for parameter in robot.parameters), robot.values, strict=True))
-    return replace(robot, description=description, parametrisation=parametrisation).with_parameters(known)
+    changed = replace(robot, description=description, parametrisation=parametrisation)
+    return changed.with_parameters(robot.values_by_name)

@@ -144,6 +144,11 @@ class RobotData(ReadOnlyArrays):
         fleet = self.description.fleet
         return Parameters(parameters if fleet is None else fleet.expected(parameters, self.path))
 
+    @property
+    def values_by_name(self) -> dict[str, float]:
+        """Value of each parameter by its name [m or rad]."""
+        return dict(zip((parameter.name for parameter in self.parameters), self.values.tolist(), strict=True))
+
     @cached_property
     def is_free(self) -> BoolArray:
         """Mask of the parameters that a fit may change: all but the held ones, (n_parameters,)."""

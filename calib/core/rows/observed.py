@@ -23,8 +23,7 @@ from calib.core.robots import kinematics
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import (
     derivative_by_parameters,
-    joint_twists,
-    parameter_twists,
+    motion_twists,
     passive_motion,
     relative_motion,
     sweeps,
@@ -80,16 +79,8 @@ def observe(
         joints: Whether to include derivatives by the actuated joints.
         index: Parameters (k,) of the derivatives, if not all; those by others are left 0.
     """
-    mechanism = robot.mechanism
-    n_driven = len(mechanism.driven) if joints or robot.terms else 0
-    twists = np.zeros((6 * mechanism.n_joints, robot.coefficients.start))
-    if index is None or len(index):
-        twists = parameter_twists(robot)
-    if index is not None:
-        twists *= np.isin(np.arange(twists.shape[1]), index)
-    if n_driven:
-        twists = np.hstack([twists, joint_twists(mechanism)])
-    width = robot.coefficients.start + n_driven if derivatives else 0
+    mechanism, twists = robot.mechanism, motion_twists(robot, index, joints=joints)
+    width = twists.shape[1] if derivatives else 0
     own = [instrument for instrument in robot.instruments if instrument.name in readings]
     works = [_Work(robot, instrument, readings[instrument.name], width) for instrument in own]
     pairs = tuple(dict.fromkeys(pair for work in works for pair in work.pairs))
@@ -177,7 +168,7 @@ class _Work:
 
     def _compare(self, chosen: IntArray | slice, seen: View | FloatArray) -> Comparison | JointComparison:
         every = isinstance(chosen, slice) and chosen == slice(0, len(self._sorted))
-        readings = self.readings if every else select_readings(self.readings, chosen)
+        readings = self.readings if every else self.readings.subset(chosen)
         comparison = self.instrument.compare(seen, self.robot.values[self._unknowns], readings)
         self._residuals[chosen] = comparison.residuals
         return comparison
@@ -189,17 +180,6 @@ class _Work:
             visits = as_slice(self.readings.visits)
             phi = tuple(columns[visits] for columns in phi)
         return Observed(self.robot, self._residuals, self._columns, phi)
-
-
-def select_readings(readings: Readings, chosen: IntArray | slice, first: int = 0) -> Readings:
-    """Return chosen readings (n,), with visits counted from `first`."""
-    return Readings(
-        readings.visits[chosen] - first,
-        readings.pairs[chosen],
-        readings.values[chosen],
-        None if readings.covariance is None else readings.covariance[chosen],
-        readings.details[chosen],
-    )
 
 
 def _is_identity(matrices: FloatArray) -> bool:

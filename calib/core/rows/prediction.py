@@ -31,7 +31,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadAsArray, ReadOnlyArrays, hold
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadAsArray, ReadOnlyArrays, evenly_spread, hold
 from calib.core.base.contributions import Contributions
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun, listing
@@ -142,47 +142,6 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         }
 
 
-@dataclass(frozen=True)
-class RootMeanSquare:
-    """A root mean square distance over a set of poses, infinite where not known, and its 95 % interval [m]."""
-
-    value: float
-    low95: float
-    high95: float
-
-
-def predicted_rms(
-    jacobian: FloatArray, covariance: FloatArray, coverage_factor: float, lasting: BoolArray
-) -> RootMeanSquare:
-    """Return the root mean square distance between true and predicted positions over poses.
-
-    The sum of the squares of all positions is a sum of independent squares, as in `length95`; its weights are the
-    eigenvalues of the covariance S of all positions. Errors that last are the same at every pose, the others differ.
-
-    Args:
-        jacobian: B of each position, (n_poses, n_targets, 3, n_uncertain).
-        covariance: C of the uncertain quantities; those that last and those that change are independent.
-        coverage_factor: Half a 95 % interval of one coordinate, in standard deviations.
-        lasting: Mask of the quantities that are the same at every pose, (n_uncertain,).
-    """
-    of_poses = jacobian.reshape(len(jacobian), -1, jacobian.shape[-1])
-    same, change = of_poses[..., lasting], of_poses[..., ~lasting]
-    known = covariance[np.ix_(lasting, lasting)]
-    flat = same.reshape(-1, same.shape[-1])
-    product = known @ (flat.T @ flat)
-    changing = change @ covariance[np.ix_(~lasting, ~lasting)] @ change.swapaxes(1, 2)
-    trace = np.trace(product) + np.trace(changing, axis1=1, axis2=2).sum()
-    squares = (
-        np.sum(product * product.T)
-        + np.sum(changing**2)
-        + 2.0 * np.sum(changing * (same @ known @ same.swapaxes(1, 2)))
-    )
-    n = len(flat) / 3
-    mean = np.array(trace / n)
-    low, high = _root95(mean, np.array(squares / n**2), coverage_factor)
-    return RootMeanSquare(float(np.sqrt(np.maximum(mean, 0.0))), float(low), float(high))
-
-
 def order_of_joints(q: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return an order and signs of joints that depend on poses q (n, n_actuated) alone.
 
@@ -206,7 +165,7 @@ def recombined_joints(q: FloatArray, most: int) -> FloatArray:
     """
     n, n_joints = q.shape
     mixed = np.stack([np.roll(q[:, j], k * n // n_joints) for j, k in enumerate(order_of_joints(q)[0])], axis=1)
-    return np.asarray(mixed[np.unique(np.linspace(0, n - 1, most).astype(np.intp))])
+    return np.asarray(mixed[evenly_spread(n, most)])
 
 
 def without_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray:
@@ -247,11 +206,19 @@ def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | 
     if mean is not None:
         trace = trace + np.sum(mean**2, axis=-1)
         squares = squares + 2.0 * np.einsum("...i,...ij,...j->...", mean, covariance, mean)
-    return _root95(trace, squares, coverage_factor)
+    return root95(trace, squares, coverage_factor)
 
 
-def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
-    """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
+def root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
+    """Return 95 % limits of the root of a sum of squares of normal numbers, (2, ...).
+
+    It follows from the sums of its weights and of their squares.
+
+    Args:
+        trace: Sum of the weights, (...).
+        squares: Sum of their squares, (...).
+        coverage_factor: As in `length95`.
+    """
     certain = squares <= _CERTAIN * trace**2  # also where both are zero
     share = np.where(certain, 1.0, squares) / np.where(certain, 1.0, trace)
     freedom = np.where(certain, 1.0, trace) / share

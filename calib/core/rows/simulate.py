@@ -20,7 +20,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, random_numbers
 from calib.core.base.errors import DataError, UnreachablePoseError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.units import in_si, quantity_text
+from calib.core.base.units import quantity_text, sigma_in_si
 from calib.core.data.in_memory import PosesLike, as_poses
 from calib.core.data.measurements import Measurements, Poses, directions_of_motion, measurements, readings_of_visits
 from calib.core.instruments.kind import Instrument, Readings
@@ -34,7 +34,6 @@ from calib.core.rows.observed import (
     observe,
     planned_readings,
     predict_readings,
-    select_readings,
     touches_without_target,
 )
 from calib.core.rows.whitening import stated_noise
@@ -75,7 +74,7 @@ def simulate(
         DataError: Sigma is not a number >= 0, or a pose does not say what is touched.
         UnreachablePoseError: A pose cannot be assembled, or no contact was found near it.
     """
-    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
+    robot, sigma = as_robot(robot), sigma_in_si(sigma)
     if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
         raise DataError(f"sigma {sigma:g} m: must be zero or a positive number")
     rng = random_numbers(seed)
@@ -283,12 +282,11 @@ def _assemble(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray)
 
 def _noisy(instrument: Instrument, exact: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
     seen = np.flatnonzero(~np.isnan(exact.values).all(axis=1))
-    visible = exact if len(seen) == len(exact) else select_readings(exact, seen)
+    visible = exact if len(seen) == len(exact) else exact.subset(seen)
     change = np.zeros((len(visible), instrument.n_rows))
     if sigma != 0:
         noise = stated_noise(instrument, sigma)
-        widths = [len(part.axes) for part in instrument.parts]
-        covariance = noise.covariance(instrument.points(visible.values), len(visible), widths)
+        covariance = instrument.covariance(visible.values, noise)
         normal = rng.standard_normal(change.shape)
         stated = np.array([float(noise.parts[k].stated) for k in instrument.part_of_row])
         change = stated * np.matmul(np.linalg.cholesky(covariance), normal[:, :, None])[:, :, 0]

@@ -39,10 +39,11 @@ class Whitening:
         groups: dict[tuple[str, str, bool], Group] = {}
         numbers: list[IntArray] = []
         widths: list[IntArray] = []
-        for name in self._names:
+        noises = {name: stated_noise(robot.instrument(name), sigma) for name in self._names}
+        for name, noise in noises.items():
             instrument, readings = robot.instrument(name), data.readings[name]
-            noise = stated_noise(instrument, sigma)
-            covariance = _covariance(instrument, noise, readings)
+            stated = readings.covariance
+            covariance = instrument.covariance(readings.values, noise) if stated is None else stated
             absent = _absent(instrument, readings)
             number = np.array(
                 [_group(groups, instrument, noise, readings, covariance, part) for part in instrument.parts]
@@ -53,8 +54,7 @@ class Whitening:
         self.groups = tuple(groups.values())
         self.is_unstated = np.array([not group.stated for group in self.groups], dtype=bool)
         self.layout = _layout(robot, data, self._names, numbers, widths, self.groups)
-        noises = [stated_noise(robot.instrument(name), sigma) for name in self._names]
-        alike = not any(part.beam is not None for noise in noises for part in noise.parts)
+        alike = not any(part.beam is not None for noise in noises.values() for part in noise.parts)
         self._of_all = {name: data.readings[name] for name in self._names} if alike and _are_whole(data) else None
 
     def applies_to(self, data: Measurements) -> bool:
@@ -154,13 +154,6 @@ def stated_noise(instrument: Instrument, sigma: float | None) -> Noise:
         for part, noise in zip(instrument.parts, instrument.noise.parts, strict=True)
     ]
     return Noise(tuple(parts))
-
-
-def _covariance(instrument: Instrument, noise: Noise, readings: Readings) -> FloatArray:
-    if readings.covariance is not None:
-        return readings.covariance
-    widths = [len(part.axes) for part in instrument.parts]
-    return noise.covariance(instrument.points(readings.values), len(readings), widths)
 
 
 def _are_whole(data: Measurements) -> bool:

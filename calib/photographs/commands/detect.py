@@ -15,11 +15,11 @@ from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import Output, shared_options
 from calib.core.data.table_writing import format_table
 from calib.core.instruments.board import Board
-from calib.core.instruments.camera import LITTLE_COVERAGE, image_coverage
 from calib.photographs.camera_alone import LEAST_IMAGES, views
 from calib.photographs.commands.boards import board_option, read_board_option
 from calib.photographs.detection import DetectedImage, Detection, detect
 from calib.photographs.estimation import LITTLE_TURN, turning
+from calib.photographs.image_coverage import LITTLE_COVERAGE, image_coverage
 from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.opencv import GreyImage
 from calib.photographs.pages import figure, small_copy

@@ -11,7 +11,6 @@ from calib.core.commands.common import (
     Output,
     folder_of_values,
     load_robot,
-    place_by_files,
     shared_options,
     sigma_in_metres,
     values_options,
@@ -29,6 +28,7 @@ from calib.planning.assessment import check
 from calib.planning.assessment_text import advice_after_check, text_report, to_dict
 from calib.planning.pose_sampling import sample
 from calib.shared.pose_check import check_poses
+from calib.shared.pose_files import place_by_files
 
 
 @click.command("check")

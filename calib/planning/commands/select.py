@@ -15,11 +15,9 @@ from calib.core.base.units import from_unit, quantity_text
 from calib.core.commands.common import (
     SIGMA_HELP,
     Output,
-    different_poses,
     folder_of_values,
     jobs_option,
     load_robot,
-    place_by_files,
     shared_options,
     sigma_in_metres,
     values_options,
@@ -38,6 +36,7 @@ from calib.planning.selection_problem import TASK
 from calib.planning.selection_result import Selection
 from calib.planning.selection_scores import CHOICES
 from calib.planning.selection_text import advice_after_select, format_poses, text_report, to_dict
+from calib.shared.pose_files import different_poses, place_by_files
 
 _TRIED = (3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30, 40, 50, 65, 80, 100)
 """Numbers of poses to try for a goal."""

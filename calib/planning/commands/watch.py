@@ -11,13 +11,14 @@ import numpy as np
 
 from calib.core.base.errors import InputError
 from calib.core.base.units import quantity
-from calib.core.commands.common import SIGMA_HELP, Output, different_poses, load_robot, shared_options, sigma_in_metres
+from calib.core.commands.common import SIGMA_HELP, Output, load_robot, shared_options, sigma_in_metres
 from calib.core.data.measurement_files import read_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.data.plan_files import read_plan
 from calib.pictures import Live, installed
 from calib.planning.progress import LEAST, Progress
 from calib.planning.watch import CANDIDATES, GrowingFile, Watch
+from calib.shared.pose_files import different_poses
 
 _BEGINNINGS = 8  # earlier states of an existing file, before the present one
 

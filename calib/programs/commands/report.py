@@ -15,7 +15,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.contributions import names_of
 from calib.core.commands.common import Output, failure_lines
 from calib.core.robots.robot import Robot
-from calib.core.rows.known_robot import KnownRobot
+from calib.core.rows.frames import KnownRobot
 from calib.programs.reaching.compensation import Compensation
 from calib.programs.reaching.expected_errors import FramedErrors
 

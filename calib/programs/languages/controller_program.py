@@ -21,12 +21,12 @@ from calib.core.base.units import quantity_text
 from calib.core.base.words import count_noun
 from calib.core.data.measurements import Poses
 from calib.core.robots.robot import Robot
-from calib.core.rows.frames import as_described
-from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
+from calib.core.rows.frames import KnownRobot
 from calib.programs.languages import fanuc
 from calib.programs.languages.postures import NominalCell, Sides
 from calib.programs.languages.robot_program import ProgramTarget, RobotProgram
 from calib.programs.reaching.compensation import Compensation, compensate
+from calib.programs.reaching.correction_frames import Calibrated, as_described, known_robot
 
 COUPLED = ("j3", "j2+j3")
 """Meanings of the third joint in a FANUC description: J3, or the sum of J2 and J3."""

@@ -18,9 +18,10 @@ from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError
 from calib.core.base.words import count_noun, listing
 from calib.core.robots.robot import Robot
-from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
+from calib.core.rows.frames import KnownRobot
 from calib.programs.languages.straight_moves import require_nominal_controller
 from calib.programs.reaching.compensation import Compensation, compensate
+from calib.programs.reaching.correction_frames import Calibrated, known_robot
 from calib.programs.reaching.goals import Goals
 
 _MOST = 100_000  # nodes

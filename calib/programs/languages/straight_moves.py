@@ -12,10 +12,10 @@ every piece and at three or more other points, one in every 2 mm. These points a
 that repeats along the path (a screw, a belt) hides between them. A move that deviates by more than the tolerance is cut
 into more pieces, and all of them are computed again.
 
-Frame. Points are in the frame of the program (`calib.core.rows.frames`), with the description's tool, which is the
-controller's tool too. Calibrated positions of reflector and tracker move no point. Real and nominal robot are compared
-at the reflector on their links. Backlash counts as the mean of both directions, since a path may turn anywhere. If the
-verdict finds nothing to correct, all moves stay unchanged.
+Frame. Points are in the frame of the program (`calib.programs.reaching.correction_frames`), with the description's
+tool, which is the controller's tool too. Calibrated positions of reflector and tracker move no point. Real and nominal
+robot are compared at the reflector on their links. Backlash counts as the mean of both directions, since a path may
+turn anywhere. If the verdict finds nothing to correct, all moves stay unchanged.
 
 When it fails. Near a singular pose g bends so much that no pieces are short enough: an error names the move.
 """
@@ -30,16 +30,16 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import ComputationError, DataError, InputError, UnreachablePoseError
 from calib.core.base.units import quantity_text
 from calib.core.base.words import count_noun, listing
-from calib.core.robots.joint_errors import commands_for
 from calib.core.robots.parametrisation import result_use
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Condition
-from calib.core.rows.frames import CorrectionFrame, program_frame
-from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
+from calib.core.rows.frames import KnownRobot
 from calib.programs.reaching.compensation import compensate_in
+from calib.programs.reaching.correction_frames import Calibrated, CorrectionFrame, known_robot, program_frame
 from calib.programs.reaching.expected_errors import FramedErrors, words_of
 from calib.programs.reaching.goals import Goals
 from calib.programs.reaching.inverse import TOLERANCE, problem
+from calib.programs.reaching.joint_commands import commands_for
 from calib.programs.reaching.reaching import GoalConfigurations, descend
 
 _MEASURED_EVERY = 2e-3  # distance of checked points along a piece [m]

@@ -5,11 +5,11 @@ tool there:
 
     T_calibrated(q') = T_nominal(q),      q' near q
 
-Frame. Both sides are seen from the frame of the program (`calib.core.rows.frames`): a measured frame, or the robot's
-own base frame, placed for the best agreement of both robots. A tool with an unknown place on its link is placed in the
-same way. Hence a moved tracker or reflector changes no command. A base or tool with a known or a fitted origin belongs
-to the robot and is corrected. The expected error is the uncertainty of exactly this difference. Goals are those of the
-description's tool, the only tool that a controller has.
+Frame. Both sides are seen from the frame of the program (`calib.programs.reaching.correction_frames`): a measured
+frame, or the robot's own base frame, placed for the best agreement of both robots. A tool with an unknown place on its
+link is placed in the same way. Hence a moved tracker or reflector changes no command. A base or tool with a known or a
+fitted origin belongs to the robot and is corrected. The expected error is the uncertainty of exactly this difference.
+Goals are those of the description's tool, the only tool that a controller has.
 
 No correction. If the verdict of the calibration finds nothing to correct, q' = q, and the error of the calibrated robot
 counts into the expected error.
@@ -43,14 +43,21 @@ from calib.core.data.in_memory import as_poses
 from calib.core.data.measurements import Poses, directions_of_motion
 from calib.core.robots.acceleration import compile_for
 from calib.core.robots.closure import motion
-from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
+from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.frames import CorrectionFrame, as_described, program_frame
-from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
+from calib.core.rows.frames import KnownRobot
+from calib.programs.reaching.correction_frames import (
+    Calibrated,
+    CorrectionFrame,
+    as_described,
+    known_robot,
+    program_frame,
+)
 from calib.programs.reaching.expected_errors import ExpectedError, FramedErrors, shown_errors, words_of
 from calib.programs.reaching.goals import Goals, goals_of_poses
 from calib.programs.reaching.inverse import BETWEEN_SIDES, TOLERANCE, problem, with_tilts
+from calib.programs.reaching.joint_commands import commands_for
 from calib.programs.reaching.program_task import KEEP, ProgramTask, is_reached, task_of_goals, task_of_joints
 from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 from calib.programs.reaching.redundancy import near_joints

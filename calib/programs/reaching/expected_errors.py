@@ -1,7 +1,7 @@
 """The expected distance of a target from its goals at given commands.
 
-Errors are in the frame of the goals (`calib.core.rows.frames`) and normal. Their covariance is that of the predicted
-position. Their mean is the known error of the calibrated robot that was not corrected.
+Errors are in the frame of the goals (`calib.programs.reaching.correction_frames`) and normal. Their covariance is that
+of the predicted position. Their mean is the known error of the calibrated robot that was not corrected.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from calib.core.base.contributions import Contributions, names_of
 from calib.core.base.units import ERROR_UNIT, in_unit
 from calib.core.robots.terms.term import Context
 from calib.core.rows.common_motion import target_poses
-from calib.core.rows.frames import CorrectionFrame
 from calib.core.rows.prediction import length95, rms_length
+from calib.programs.reaching.correction_frames import CorrectionFrame
 from calib.programs.reaching.goals import Goals
 
 

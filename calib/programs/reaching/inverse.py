@@ -25,15 +25,16 @@ from calib.core.data.measurements import Poses
 from calib.core.robots import loops
 from calib.core.robots.closure import motion
 from calib.core.robots.configurations import joint_vector
-from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
+from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.loading import RobotLike
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.frames import measurement_frame
-from calib.core.rows.known_robot import Calibrated, KnownRobot, known_robot
+from calib.core.rows.frames import KnownRobot
+from calib.programs.reaching.correction_frames import Calibrated, known_robot, measurement_frame
 from calib.programs.reaching.expected_errors import ExpectedError
 from calib.programs.reaching.goals import Goals, goals_of_poses
+from calib.programs.reaching.joint_commands import commands_for
 from calib.programs.reaching.reaching import GoalConfigurations, Reach, descend
 from calib.programs.reaching.redundancy import near_joints, without_full_turns
 

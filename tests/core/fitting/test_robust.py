@@ -3,6 +3,7 @@ import pytest
 
 import calib
 from calib.core.numerics.losses import scale_of, weights
+from tests.project import EXAMPLES
 from tests.six_axis_arm import joints, measurements
 
 SIGMA = 4e-5
@@ -84,3 +85,14 @@ def test_exact_data_with_gross_errors_come_back_exactly(arm):
     positions[[3, 30]] += 2e-3
     fit = calib.fit(arm, measurements(arm, q, positions), loss="tukey")
     np.testing.assert_allclose(fit.robot.values, arm.values, atol=1e-9)
+
+
+@pytest.mark.parametrize("loss", ["cauchy", "tukey"])
+def test_exact_readings_have_no_noise_to_weigh_by(loss):
+    """Priors pull the fit by some hundredths of a micrometre: the readings are off by nothing else."""
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    off = 0.5 * robot.parameters.sigma_si * np.random.default_rng(0).standard_normal(len(robot.values))
+    q = robot.sample(60, seed=1)
+    exact = calib.as_measurements(robot, q, robot.with_parameters(robot.values + off).positions(q))
+    with pytest.raises(calib.NotIdentifiableError, match=f"no noise by which --loss {loss} could tell .* --loss none"):
+        calib.fit(robot, exact, loss=loss)

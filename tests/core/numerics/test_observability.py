@@ -1,10 +1,9 @@
-"""O1 to O5 by hand on small matrices, and the task index."""
+"""O1 to O5 by hand on small matrices, and the information of rows and priors."""
 
 import numpy as np
 import pytest
 
-from calib.core.base.parameter import Parameter
-from calib.core.numerics.observability import INDICES, information, observability, raw_columns, task_index
+from calib.core.numerics.observability import INDICES, information, observability
 
 
 def indices_of(matrix, n_poses):
@@ -23,19 +22,6 @@ def test_by_hand():
 
 def test_a_matrix_that_loses_rank_exactly_has_zeros():
     assert indices_of(np.diag([1.0, 0.0]), 1) == dict.fromkeys(INDICES, 0.0)
-
-
-def test_raw_columns_are_in_millimetres_per_unit_of_table():
-    length = Parameter("a", "length", 0.1, 2e-3, "mm")
-    angle = Parameter("b", "angle", 0.0, 0.02, "deg")
-    # 1 m per m is 1 mm per mm; 1 m per rad is 17.45 mm per degree
-    np.testing.assert_allclose(raw_columns(np.array([1.0, 1.0]), (length, angle)), [1.0, 1e3 * np.pi / 180], rtol=1e-15)
-
-
-def test_task_index_is_root_mean_square_and_largest():
-    result = task_index(np.array([[3.0], [4.0], [0.0]]))
-    assert result.rms == pytest.approx(np.sqrt(25 / 3))
-    assert (result.maximum, result.worst_pose) == (4.0, 1)
 
 
 @pytest.mark.parametrize("smallest", [1.0, 1e-3, 1e-7, 0.0])

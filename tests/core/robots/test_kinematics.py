@@ -53,7 +53,7 @@ def test_frames_seen_from_each_other_are_those_of_the_whole_tree(case):
 def test_twists_in_the_world_serve_every_frame_as_pinocchios_regressor_would(case):
     mechanism, joints, pairs, swept = case
     left = swept.reduced.joints
-    before = mechanism.twists_before(None)[left]  # of every origin twist
+    before = mechanism.twists_before(np.eye(6 * mechanism.n_joints))[left]  # of every origin twist
     origins, columns = np.nonzero(np.any(before != 0, axis=1))
     of_origins = np.zeros((len(joints), 6, before.shape[2]))
     of_origins[:, :, columns] = kinematics.twists_in_world(swept, origins, before[origins, :, columns])

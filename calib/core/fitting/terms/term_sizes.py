@@ -50,7 +50,8 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DataError
 from calib.core.base.threads import one_blas_thread
-from calib.core.data.pose_groups import boxes
+from calib.core.data.measurements import Measurements
+from calib.core.data.pose_groups import boxes, repeated_poses
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.regions import BLOCKS
 from calib.core.fitting.terms.candidate_terms import (
@@ -62,7 +63,6 @@ from calib.core.fitting.terms.candidate_terms import (
     missing_terms,
 )
 from calib.core.fitting.terms.kind_model import KindModel
-from calib.core.fitting.validation import stretches
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.size_search import draw_sizes, least_sizes, likeliest_sizes
 from calib.core.robots.terms.term import TermSection
@@ -78,6 +78,11 @@ _SHORTEST = 0.3  # a component of usual size is dropped if its length is below t
 _LIMITS = (0.025, 0.975)
 
 
+def has_poses_for_terms(data: Measurements) -> bool:
+    """Whether measurements have enough different poses to find the sizes of terms."""
+    return len(repeated_poses(data.joints, data.pose_numbers)) >= LEAST_POSES
+
+
 @one_blas_thread
 def size_terms(fit: Fit) -> TermChoice:
     """Return the terms of the joints' errors with the sizes that measurements show.
@@ -86,7 +91,7 @@ def size_terms(fit: Fit) -> TermChoice:
         DataError: Too few poses.
     """
     data, described = fit.identification.data, fit.robot.description.terms
-    if len(stretches(data, LEAST_POSES)) < LEAST_POSES:
+    if not has_poses_for_terms(data):
         raise DataError(
             f"{data.path}: finding which joint terms are there needs at least {LEAST_POSES} different poses; name the"
             " terms (--terms curve,gain), or measure more"

@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from calib.core.base.units import ERROR_UNIT, in_unit
-from calib.core.base.words import significant
 from calib.core.fitting.fitted import Fit
 from calib.core.judging import findings
-from calib.core.judging.error_budget import NOISE, PLACES, REST, UNEXPLAINED, CauseShare, ErrorBudget
+from calib.core.judging.error_budget import UNEXPLAINED
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 
 _FINEST = 1e-3  # a page shows digits down to this part of the whole mean square
@@ -96,32 +93,6 @@ def budget_grid(fit: Fit) -> Grid | None:
         (*rows, whole),
         (len(rows),),
     )
-
-
-def worst_joints(budget: ErrorBudget) -> list[CauseShare]:
-    """Return the joints' shares of the error before calibration, the largest first; see `findings.joint_budget`."""
-    joints = [share for share in budget.shares if share.cause not in (PLACES, NOISE, UNEXPLAINED, REST)]
-    return sorted(joints, key=lambda share: -share.mean_square)
-
-
-def worst_joint(fit: Fit) -> str:
-    """Return the joint with the largest share of the error before calibration, and the next; empty without a budget.
-
-    Where the 95 % interval of the largest share reaches down to the next, the worst joint is not determined.
-    """
-    budget = findings.joint_budget(fit)
-    joints = [] if budget is None else [share for share in worst_joints(budget) if share.mean_square > 0]
-    if budget is None or not joints:
-        return ""
-    percent = [100 * np.array([one.mean_square, 1.96 * one.std]) / budget.before for one in joints[:2]]
-    words = [
-        f"{one.cause} {significant(part, 2)} % ± {significant(half, 2)} %"
-        for one, (part, half) in zip(joints, percent, strict=False)
-    ]
-    lowest, next_part = percent[0][0] - percent[0][1], percent[1][0] if percent[1:] else 0.0
-    doubt = "" if lowest > next_part else "not determined, since its interval is too wide: "
-    following = f"; next {words[1]}" if words[1:] else ""
-    return f"{doubt}{words[0]} (95 %) of the squared error before calibration{following}"
 
 
 def budget_lines(fit: Fit) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,23 +16,11 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import Outlier, outliers_in_words
 from calib.core.judging import findings
 from calib.core.judging.verdict import judge
-from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 from calib.core.results.sections.parameters import parameter_rows
 from calib.core.rows.rows import Rows
 
 LEFT_OUT = "left out"
 """Text in column `set` of `residuals.csv` for readings that were left out as outliers."""
-MOST = 50
-"""Largest number of outliers on a page."""
-
-
-@dataclass(frozen=True)
-class OutlierGrid:
-    """The outliers as a table of at most `MOST`, their number, and whether all are points."""
-
-    shown: Grid
-    count: int
-    points: bool
 
 
 @memoize
@@ -97,31 +84,6 @@ def _error_scale(errors: ErrorSet | None, outlier: Outlier) -> float:
         return 1.0
     instrument = next(instrument for instrument in errors.instruments if instrument.name == outlier.target)
     return in_unit(1.0, ERROR_UNIT[instrument.parts[0].dimension])
-
-
-def outlier_grid(fit: Fit) -> OutlierGrid:
-    """Return the outliers as a table, with those that were left out first."""
-    rows = [row | {"set": LEFT_OUT} for row in excluded_rows(fit)] + outlier_rows(fit)
-    points = all(part.is_position for instrument in fit.nominal.instruments for part in instrument.parts)
-    columns = (
-        GridColumn("pose"),
-        GridColumn("set", words=True),
-        GridColumn("point" if points else "instrument", words=True),
-        GridColumn("distance [mm]" if points else "error"),
-        GridColumn("over expected"),
-        GridColumn("source", words=True),
-    )
-    cells = tuple(_cells(row, points) for row in rows[:MOST])
-    return OutlierGrid(Grid("", "", columns, cells), len(rows), points)
-
-
-def _cells(row: dict[str, Any], points: bool) -> tuple[str | GridNumber, ...]:
-    together = f" (all {row['together']} readings there)" if row["together"] else ""
-    of = " ".join(filter(None, (row["target"], row["looked_at"])))
-    size = GridNumber(row["distance"]) if points else str(row["size"])
-    source = row["where"].removesuffix(f" (pose {row['pose']})")
-    over_noise = GridNumber(row["over_noise"], page_decimals=1)
-    return (str(row["pose"]), row["set"], f"{of}{together}", size, over_noise, source)
 
 
 def with_excluded(fit: Fit) -> dict[str, object] | None:

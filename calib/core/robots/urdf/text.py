@@ -158,7 +158,7 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
 
     Entry points of the group `calib.robot_readers` turn other formats into a URDF. Each is named by the file's ending,
     such as `xacro`, or by the outermost element of its XML, such as `sdf`: a function of path, content and arguments
-    that returns a URDF and a `ForeignRobot`, or None.
+    that returns a URDF and a `ForeignRobot`, or None. Endings decide for xacro, YAML, and files that are no XML.
 
     Args:
         arguments: Arguments of a xacro file, by name.
@@ -170,7 +170,7 @@ def read_urdf(path: Path | str, arguments: Mapping[str, str] | None = None) -> U
     source, ending = read_bytes(path, "the path of a URDF", UrdfError), Path(path).suffix.lower()
     if arguments and ending != ".xacro":
         raise UrdfError(f"{path}: is no xacro file, and takes no arguments; leave out {', '.join(arguments)}")
-    kind = {".xacro": "xacro", ".yaml": "yaml", ".yml": "yaml"}.get(ending) or _outermost(source)
+    kind = {".xacro": "xacro", ".yaml": "yaml", ".yml": "yaml"}.get(ending) or _outermost(source) or ending[1:]
     for entry in list_entry_points("calib.robot_readers") if kind not in ("robot", "") else ():
         if entry.name == kind:
             urdf, foreign = load_named(entry, "reader of robots")(str(path), source, arguments or {})

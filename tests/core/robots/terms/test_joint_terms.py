@@ -6,7 +6,6 @@ import pytest
 import calib
 from calib.core.fitting.terms.candidate_terms import candidates
 from calib.core.robots.jacobian import linearise
-from calib.core.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.core.robots.terms.term import Context
 from calib.core.robots.terms.terms import parse_terms
 from calib.core.rows.observed import observe, predict_readings
@@ -91,7 +90,6 @@ def test_a_coupling_follows_the_command_of_the_other_joint(tmp_path):
     q = near_home(robot, 4, 4)
     expected = q + np.column_stack([np.zeros(4), 2e-3 * q[:, 0]])
     assert np.allclose(robot.assemble(q).actuated, expected, rtol=0, atol=1e-15)
-    assert np.allclose(commands_for(robot, expected), q, rtol=0, atol=1e-12)
 
 
 def test_a_temperature_counts_from_the_same_reference_in_every_file(tmp_path):
@@ -130,15 +128,6 @@ def test_readings_and_positions_have_the_same_derivatives(five_bar):
     observed = observe(five_bar, configurations, predict_readings(five_bar, configurations))
     by_target = linearise(five_bar, configurations).jacobian[:, 0]
     assert np.allclose(next(iter(observed.values())).jacobian, by_target, rtol=0, atol=1e-12)
-
-
-def test_commands_undo_the_joint_errors(five_bar):
-    values = five_bar.values.copy()
-    values[five_bar.coefficients] = 2e-3
-    robot = five_bar.with_parameters(values)
-    expected = near_home(robot, 8, 7)
-    commands = commands_for(robot, expected)
-    assert np.allclose(actual_joints(robot, commands, term_columns(robot, commands)), expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

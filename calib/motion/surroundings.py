@@ -8,7 +8,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PlainValidator,
+    TypeAdapter,
+    ValidationInfo,
+    model_validator,
+)
 
 from calib.core.base.sections import Angle, Length, PositiveLength, Section
 
@@ -105,15 +113,16 @@ class SightSection(Section):
     width: PositiveLength = 0.01
 
 
-def _obstacles(given: Any) -> Any:
-    """The obstacles of their short forms: a word, or a list of words."""
-    if isinstance(given, str) and given != UNCHECKED:
-        given = [given]
+def _obstacles(given: Any, info: ValidationInfo) -> Any:
+    """The obstacles of a description, or of their short forms: a word, or a list of words."""
+    if given == UNCHECKED:
+        return given
+    given = [given] if isinstance(given, str) else given
     if isinstance(given, (list, tuple)):
         given = dict.fromkeys(given) if all(isinstance(name, str) for name in given) else given
-    if not isinstance(given, dict):
-        return given
-    return {name: _floor(name, value) for name, value in given.items()}
+    if isinstance(given, dict):
+        given = {name: _floor(name, value) for name, value in given.items()}
+    return TypeAdapter(dict[str, ObstacleSection]).validate_python(given, context=info.context)
 
 
 def _floor(name: Any, value: Any) -> Any:
@@ -125,8 +134,8 @@ def _floor(name: Any, value: Any) -> Any:
 
 
 Obstacles = Annotated[
-    dict[str, ObstacleSection] | Literal["unchecked"],
-    BeforeValidator(
+    Any,
+    PlainValidator(
         _obstacles,
         json_schema_input_type=dict[str, ObstacleSection | Literal["floor"] | None] | Literal["floor", "unchecked"],
     ),

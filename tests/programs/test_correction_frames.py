@@ -8,28 +8,11 @@ import pytest
 
 import calib
 from calib.core.results.result_reading import load_result
-from calib.core.rows.common_motion import CommonMotion, UnknownPlaces
-from calib.core.rows.frames import measurement_frame, program_frame
-from calib.core.rows.known_robot import KnownRobot
+from calib.core.rows.frames import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty
+from calib.programs.reaching.correction_frames import measurement_frame, program_frame
+from tests.core.rows.test_common_motion import ELSEWHERE, arm
 from tests.programs.compensated_robots import FORMS, OF_THREE_AXES, Trial, described, lengths
-from tests.six_axis_arm import write_six_axis
-
-ELSEWHERE = {"base.x": 2.1, "base.y": -0.3, "base.rz": 2.0, "base.rx": 0.1}
-ARM = """urdf: arm.urdf
-name_mot: [j1, j2, j3, j4, j5, j6]
-base: {frame: l0, pose: BASE}
-targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: TOOL}}
-parametrisation: [{origin: all, components: [x, y, z], sigma: 1 mm}]
-"""
-HOLE = "{frame: l0, xyz: [0.5, 0, 0.3], position: P}"
-SOCKET = f"instruments: {{probe: {{kind: touch, target: ball, places: {{hole: {HOLE}}}}}}}\n"
-SIX = "instruments: {six: {kind: pose, target: ball}}\n"
-WIRE = "instruments: {wire: {kind: distance, target: ball, end: {frame: l0, xyz: [1, 0.5, 0.2], position: P}}}\n"
-
-
-def arm(folder, base="unknown", tool="unknown", extra=""):
-    return calib.load(write_six_axis(folder, ARM.replace("BASE", base).replace("TOOL", tool) + extra))
 
 
 def rms(distances):
@@ -142,39 +125,6 @@ def test_uncertainty_beside_common_motion_follows_parameters_as_differences_say(
         there, back = (off(robot.with_parameters({parameter.name: robot.values[k] + h})) for h in (step, -step))
         assert np.abs(np.abs(there - back) / (2 * step) - spread).max() < 2e-3  # its errors turn links by 0.2 mrad
         assert not parameter.placement or spread.max() < 2e-3, parameter.name  # a place moves nothing
-
-
-def test_a_platform_that_never_turns_does_not_tell_base_and_tool_apart(nominal_delta):
-    nominal = nominal_delta[0].nominal
-    joints = nominal.sample(30, seed=0)
-    tracked = nominal.with_parameters(ELSEWHERE)
-    motion = CommonMotion.from_robots(nominal, tracked, UnknownPlaces.from_robot(nominal), joints)
-    assert motion.loose == UnknownPlaces(True, (0,), (0,), ())
-    assert motion.basis.shape == (9, 6)
-    assert np.abs(motion.robot.positions(joints) - tracked.positions(joints)).max() < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("base", "tool", "extra", "loose"),
-    [
-        ("unknown", "unknown", "", UnknownPlaces(True, (0,), (0,), ())),
-        ("unknown", "known", "", UnknownPlaces(True, (0,), (), ())),
-        ("known", "unknown", "", UnknownPlaces(False, (0,), (0,), ())),
-        ("known", "known", "", UnknownPlaces(False, (0,), (), ())),
-        ("unknown", "known", f"held: [{', '.join(f'base.{axis}' for axis in ('x', 'y', 'z', 'rx', 'ry', 'rz'))}]\n",
-         UnknownPlaces(False, (0,), (), ())),
-        ("known", "known", SOCKET.replace("P", "unknown"), UnknownPlaces(True, (0,), (), ())),
-        ("known", "known", SOCKET.replace("P", "known"), UnknownPlaces(False, (0,), (), ())),
-        ("unknown", "known", SOCKET.replace("P", "known"), UnknownPlaces(False, (0,), (), ())),
-        ("known", "known", WIRE.replace("P", "unknown"), UnknownPlaces(True, (0,), (), ())),
-        ("known", "known", "instruments: {level: {kind: orientation, target: ball, axes: gravity}}\n",
-         UnknownPlaces(True, (0,), (), ())),
-        ("unknown", "unknown, orientation: unknown", SIX,
-         UnknownPlaces(True, (0,), (0,), (0,))),
-    ],
-)  # fmt: skip
-def test_what_was_measured_in_a_known_frame_is_not_laid(tmp_path, base, tool, extra, loose):
-    assert UnknownPlaces.from_robot(arm(tmp_path, base, tool, extra)) == loose
 
 
 def test_an_unknown_orientation_of_the_tool_is_laid_too(tmp_path):

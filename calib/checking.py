@@ -51,7 +51,7 @@ def check_kind(
     )
     _require(bool(np.isfinite(values).all()), f"{subject}: predict() returns numbers that are not finite")
     cells = instrument.cells(values)
-    names = list(instrument.columns())
+    names = [column.name for column in instrument.columns()]
     _require(
         sorted(cells) == sorted(names),
         f"{subject}: cells() returns columns {sorted(cells)}, but columns() names {names}",

@@ -39,7 +39,7 @@ from calib.core.commands.common import Output
 from calib.core.data.other_formats import OtherFormat, SomeFile
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import (
-    Columns,
+    Column,
     Comparison,
     FrameInstrument,
     Guess,
@@ -74,7 +74,7 @@ __all__ = [
     "KNOWN_ZERO",
     "TERMS",
     "Check",
-    "Columns",
+    "Column",
     "Comparison",
     "Component",
     "ComputationError",

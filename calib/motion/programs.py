@@ -273,7 +273,7 @@ def table_to_fill_in(route: Route) -> str:
     """Return the stops as a table, with empty columns for the readings of the instruments."""
     columns = pose_columns(route.robot, [stop.name for stop in route.stops], route.joints)
     for instrument in route.robot.instruments:
-        numbers = [header(*column) for column in instrument.columns().items()]
+        numbers = [header(column.name, column.dimension) for column in instrument.columns()]
         for name in (*numbers, *instrument.text_columns()):
             columns[name] = [""] * len(route.stops)
     comment = "write the readings of each pose here; an instrument's own log is joined by its column 'pose'"

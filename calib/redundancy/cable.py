@@ -21,7 +21,7 @@ from pydantic import Field
 from calib.core.base.arrays import FloatArray
 from calib.core.base.sections import KNOWN_ZERO, LengthOrUnknown, OwnLength, PositiveLength, PositiveLengthOrUnknown
 from calib.core.fitting.fitted import Fit
-from calib.core.instruments.kind import Columns, InstrumentSection, Part, Readings, View
+from calib.core.instruments.kind import Column, InstrumentSection, Part, Readings, View
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.relation import RelatedSection, Relation
 from calib.core.judging.reasons import Reason
@@ -72,9 +72,9 @@ class Cable(Relation):
         target = section.target or name
         return cls(name, target, own, lengths, section.gear, section.lines, noise=noise, unknowns=unknowns)
 
-    def columns(self) -> Columns:
+    def columns(self) -> tuple[Column, ...]:
         """Return one column with the instrument's name."""
-        return {self.name: "angle"}
+        return (Column(self.name, "angle"),)
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return the angle of the motor, (n, 1) [rad]."""

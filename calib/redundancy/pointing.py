@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.sections import PositiveAngle
-from calib.core.instruments.kind import Columns, InstrumentSection, Part, Readings, View
+from calib.core.instruments.kind import Column, InstrumentSection, Part, Readings, View
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.instruments.relation import Relation
 
@@ -46,9 +46,9 @@ class Pointing(Relation):
         sense = -1.0 if section.azimuth == "compass" else 1.0
         return cls(name, section.target or name, noise=Noise((PartNoise.from_sigma(section.sigma, 2),)), sense=sense)
 
-    def columns(self) -> Columns:
+    def columns(self) -> tuple[Column, ...]:
         """Return `<name>_az` and `_alt`."""
-        return {f"{self.name}_{axis}": "angle" for axis in ("az", "alt")}
+        return tuple(Column(f"{self.name}_{axis}", "angle") for axis in ("az", "alt"))
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return azimuth and altitude of the target's x axis, (n, 2) [rad]."""

@@ -199,7 +199,7 @@ def _empty_sheet(robot: Robot, measure: Measure) -> str:
     columns = ["pose", *(header(name, robot.mechanism.dimensions[name]) for name in robot.joint_names)]
     for instrument in () if measure.read_apart else robot.instruments:
         columns += [
-            *(header(*column) for column in instrument.columns().items()),
+            *(header(column.name, column.dimension) for column in instrument.columns()),
             *instrument.text_columns(),
         ]
     return format_table([(column, ()) for column in dict.fromkeys(columns)], measure.comments)

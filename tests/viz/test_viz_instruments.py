@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.core.data.in_memory import as_poses, measurements
-from calib.core.instruments.kind import Comparison, FrameInstrument, InstrumentSection, Part, Place, Readings
+from calib.core.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Part, Place, Readings
 from calib.core.instruments.kinds import KINDS
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.rows.observed import predict_readings
@@ -327,7 +327,7 @@ class Rope(FrameInstrument):
         return ((self.hub.name, self.target),)
 
     def columns(self):
-        return {f"{self.name}_square": "length"}
+        return (Column(f"{self.name}_square", "length"),)
 
     def predict(self, view, unknowns, details):
         return np.sum(view.translation**2, axis=1, keepdims=True)

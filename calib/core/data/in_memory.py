@@ -193,7 +193,7 @@ def _readings(instrument: Instrument, poses: Poses, values: FloatArray) -> Readi
             f"{instrument.name}: an array does not name the point or thing of each reading; give"
             " calib.Readings with details"
         )
-    width = instrument.values(dict.fromkeys(instrument.columns(), np.zeros(0))).shape[1]
+    width = instrument.values({column.name: np.zeros(0) for column in instrument.columns()}).shape[1]
     if values.shape != (len(poses), width):
         raise DataError(f"{instrument.name}: readings of shape {values.shape}; expected ({len(poses)}, {width})")
     whole = np.all(np.isnan(values), axis=1)

@@ -18,12 +18,12 @@ from calib.core.robots.robot import Robot
 
 def named_columns(instrument: Instrument) -> list[str]:
     """Return the columns that belong to this instrument alone: its numbers, or its words if it has no numbers."""
-    return list(instrument.columns() or instrument.text_columns())
+    return [column.name for column in instrument.columns()] or list(instrument.text_columns())
 
 
 def columns_in(instrument: Instrument, table: Table) -> list[str]:
     """Return the columns of a table that an instrument reads."""
-    names = [*instrument.columns(), *instrument.text_columns()]
+    names = [column.name for column in instrument.columns()] + list(instrument.text_columns())
     names += [] if instrument.label_column is None else [instrument.label_column]
     names += [name for name, _ in std_columns(instrument)] + list(correlation_columns(instrument))
     return [name for name in names if name in table.names]
@@ -43,7 +43,7 @@ def readings_in(
     `own_lines`: readings keep their file and line, because other files have the joint values. A `DataError` names file,
     line and column.
     """
-    lacking = next((name for name in instrument.columns() if name not in table.names), None)
+    lacking = next((column.name for column in instrument.columns() if column.name not in table.names), None)
     if lacking is not None:
         hint = odd_unit(table, lacking)
         if hint is not None:
@@ -52,7 +52,7 @@ def readings_in(
             f"{lacking_column(lacking, robot, table)} (the robot description has '{instrument.name}': rename it there,"
             " or rename the column; 'calib init URDF --out robot.yaml' writes a description)"
         )
-    columns = {name: table.column(name, dimension, gaps=True) for name, dimension in instrument.columns().items()}
+    columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in instrument.columns()}
     numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
     empty = np.isnan(numbers)
     some = np.flatnonzero(_is_labelled(robot, instrument, table) & ~(np.all(empty, axis=1) & (numbers.shape[1] > 0)))
@@ -97,8 +97,9 @@ def _is_labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArra
     if column is None:
         return np.ones(len(table.rows), dtype=bool)
     group = [other for other in robot.instruments if other.label_column == column]
+    columns = {c.name for c in instrument.columns()}
     if column not in table.names:
-        sharing = [other.name for other in group if instrument.columns().keys() & other.columns().keys()]
+        sharing = [other.name for other in group if columns & {c.name for c in other.columns()}]
         if len(sharing) > 1:
             raise DataError(f"{table.path}: no column '{column}', which tells {' and '.join(sharing)} apart")
         return np.ones(len(table.rows), dtype=bool)

@@ -113,7 +113,7 @@ def reading_columns(
         readings = all_readings.get(instrument.name)
         if readings is None:
             continue
-        dimensions = instrument.columns()
+        dimensions = {column.name: column.dimension for column in instrument.columns()}
         cells: dict[str, Sequence[object]] = {
             header(name, dimensions[name]): list(in_table_unit(numbers, dimensions[name]))
             for name, numbers in instrument.cells(readings.values).items()

@@ -81,7 +81,7 @@ def _is_measured(table: Table, robot: Robot) -> BoolArray:
     """Mask of the rows that have all cells of some instrument, (n_rows,)."""
     measured = np.zeros(len(table.rows), dtype=bool)
     for instrument in robot.instruments:
-        names = [*instrument.columns(), *instrument.text_columns()]
+        names = [*(column.name for column in instrument.columns()), *instrument.text_columns()]
         if names and set(names) <= set(table.names):
             filled = np.ones(len(measured), dtype=bool)
             for name in names:

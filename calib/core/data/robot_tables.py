@@ -66,7 +66,7 @@ def _deviation_columns(robot: Robot, table: Table, guessed: Mapping[str, str]) -
     found = {name: match[1].lower() for name in table.names if (match := _U95.fullmatch(name))}
     if sorted(found.values()) != list(_AXES) or len(reading) != 1:
         return {}
-    columns = list(reading[0].columns())
+    columns = [column.name for column in reading[0].columns()]
     if not set(columns) <= {*table.names, *guessed.values()}:
         return {}
     return {name: f"{reading[0].name}_std_{axis}" for name, axis in found.items()}
@@ -132,7 +132,7 @@ def _positions(robot: Robot, table: Table) -> dict[str, str]:
     reading = [instrument for instrument in robot.instruments if instrument.reads_positions]
     units = dict(zip(table.names, table.units, strict=True))
     axes = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}
-    columns = list(reading[0].columns()) if len(reading) == 1 else []
+    columns = [column.name for column in reading[0].columns()] if len(reading) == 1 else []
     if not axes:  # else take the axes of a single named body
         named = {match[1] for name in table.names if units[name] and (match := _NAMED.fullmatch(name))}
         whole = [name for name in named if all(f"{name}_{axis}" in units for axis in _AXES)]

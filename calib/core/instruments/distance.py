@@ -64,13 +64,13 @@ class Distance(Relation):
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return distances, (n, 1) [m]."""
         (column,) = self.columns()
-        read = columns[column]
+        read = columns[column.name]
         negative = np.flatnonzero(read < min(self.offset.value, 0.0))
         if len(negative) and not self.offset.unknown:
             k = int(negative[0])
             size = quantity_text(float(read[k]), "mm", "g")
             raise DataError(
-                f"instrument '{self.name}', reading {k + 1}: {column} is {size}, which is not a distance; an"
+                f"instrument '{self.name}', reading {k + 1}: {column.name} is {size}, which is not a distance; an"
                 " instrument whose zero is elsewhere needs `offset` in the description"
             )
         return read[:, None]

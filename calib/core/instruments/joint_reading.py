@@ -20,7 +20,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.parameter import Parameter
 from calib.core.base.sections import Quantity
 from calib.core.base.units import DISPLAY_UNIT, Dimension, quantity
-from calib.core.instruments.kind import Columns, InstrumentSection, JointComparison, JointInstrument, Part, Readings
+from calib.core.instruments.kind import Column, InstrumentSection, JointComparison, JointInstrument, Part, Readings
 from calib.core.instruments.noise import Noise, PartNoise
 
 _FACTORS = (2.0, 0.5, 4.0, 0.25)  # usual mistakes in counts a turn
@@ -88,9 +88,9 @@ class JointReading(JointInstrument):
         name = "angle" if self.dimension == "angle" else "slide"  # two kinds of joints are two parts
         return (Part(name, (name,), self.dimension),)
 
-    def columns(self) -> Columns:
+    def columns(self) -> tuple[Column, ...]:
         """Return one column with the instrument's name."""
-        return {self.name: self.dimension}
+        return (Column(self.name, self.dimension),)
 
     def predict(self, joint: FloatArray, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return the joint's value plus the zero, (n, 1) [m or rad]."""

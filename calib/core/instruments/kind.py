@@ -30,9 +30,6 @@ from calib.core.base.sections import Component, PlaceSection, PosedSection, Sect
 from calib.core.base.units import Dimension
 from calib.core.instruments.noise import Noise
 
-Columns = dict[str, Dimension | None]
-"""Columns of a measurement file by name, with their dimensions (None: a pure number)."""
-
 
 @dataclass(frozen=True)
 class Part:
@@ -63,6 +60,14 @@ class Part:
     def readings(self) -> str:
         """Name of the readings in a sentence."""
         return self.plural or f"{self.name}s"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a measurement file: its name and dimension (None: a pure number)."""
+
+    name: str
+    dimension: Dimension | None
 
 
 @dataclass(frozen=True)
@@ -292,9 +297,9 @@ class Instrument(ABC):
         """Return the names of the frames (a, b) of its readings; `base` is the measurement frame, the default of a."""
         return ()
 
-    def columns(self) -> Columns:
+    def columns(self) -> tuple[Column, ...]:
         """Return its columns in a measurement file: by default `<name>_<axis>` for each of its rows."""
-        return {f"{self.name}_{axis}": part.dimension for part in self.parts for axis in part.axes}
+        return tuple(Column(f"{self.name}_{axis}", part.dimension) for part in self.parts for axis in part.axes)
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -352,11 +357,11 @@ class Instrument(ABC):
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Turn columns (n,) [SI] by name into values (n, n_values): by default the columns themselves."""
-        return np.stack([columns[name] for name in self.columns()], axis=1)
+        return np.stack([columns[column.name] for column in self.columns()], axis=1)
 
     def cells(self, values: FloatArray) -> dict[str, FloatArray]:
         """Turn values (n, n_values) into columns (n,) [SI] by name, the inverse of `values`."""
-        return {name: values[:, k] for k, name in enumerate(self.columns())}
+        return {column.name: values[:, k] for k, column in enumerate(self.columns())}
 
     @abstractmethod
     def predict(self, seen: Any, unknowns: FloatArray, details: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.sections import ANGLE_COMPONENTS
 from calib.core.instruments.hand_eye import solve_rotations
 from calib.core.instruments.kind import (
-    Columns,
+    Column,
     Comparison,
     FrameInstrument,
     Guess,
@@ -104,7 +104,7 @@ class Orientation(FrameInstrument):
         """Rotation errors, or tilts."""
         return (TILT,) if self.gravity else (ORIENTATION,)
 
-    def columns(self) -> Columns:
+    def columns(self) -> tuple[Column, ...]:
         """Return the columns of the rotation, or `<name>_tilt_x` and `<name>_tilt_y`."""
         return super().columns() if self.gravity else rotation_columns(self.name, self.rotation)
 

@@ -28,7 +28,7 @@ from calib.core.instruments.board import Board
 from calib.core.instruments.camera import NAMES, is_in_front, is_in_lens, project, rays
 from calib.core.instruments.camera_places import Sightings, guesses, seen_points
 from calib.core.instruments.kind import (
-    Columns,
+    Column,
     Comparison,
     FrameInstrument,
     Guess,
@@ -100,9 +100,9 @@ class Pixel(FrameInstrument):
         """Return camera and target."""
         return ((self.name, self.target),)
 
-    def columns(self) -> Columns:
+    def columns(self) -> tuple[Column, ...]:
         """Return `<columns>_u` and `_v`."""
-        return {f"{self.prefix}_{axis}": "pixel" for axis in PIXEL.axes}
+        return tuple(Column(f"{self.prefix}_{axis}", "pixel") for axis in PIXEL.axes)
 
     @property
     def named(self) -> tuple[str, ...]:

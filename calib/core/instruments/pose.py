@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.instruments.kind import Columns, Comparison, FrameInstrument, InstrumentSection, Readings, View
+from calib.core.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Readings, View
 from calib.core.instruments.noise import AngleSigma, Noise, PartNoise, PositionSigma
 from calib.core.instruments.position import AXES, POSITION
 from calib.core.instruments.rotations import (
@@ -62,10 +62,10 @@ class Pose(FrameInstrument):
         noise = Noise((PartNoise.from_sigma(section.sigma, 3), PartNoise.from_sigma(section.sigma_angle, 3)))
         return cls(name, section.target or name, section.rotation, noise=noise)
 
-    def columns(self) -> Columns:
+    def columns(self) -> tuple[Column, ...]:
         """Return `<name>_x`, `_y`, `_z`, and those of the rotation."""
-        positions: Columns = {f"{self.name}_{axis}": "length" for axis in AXES}
-        return positions | rotation_columns(self.name, self.rotation)
+        positions = tuple(Column(f"{self.name}_{axis}", "length") for axis in AXES)
+        return positions + rotation_columns(self.name, self.rotation)
 
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
         """Return positions and rotation vectors, (n, 6) [m, rad]."""

@@ -32,17 +32,7 @@ import scipy
 from calib.core.base.arrays import FloatArray, IntArray, evenly_spread
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, PlaceSection
 from calib.core.instruments.camera import cube_rotations
-from calib.core.instruments.kind import (
-    Columns,
-    Comparison,
-    FrameInstrument,
-    Guess,
-    Place,
-    Readings,
-    Scene,
-    View,
-    placed,
-)
+from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Guess, Place, Readings, Scene, View, placed
 
 _STEP = 1e-4  # m, rad; for unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
@@ -97,9 +87,9 @@ class Relation(FrameInstrument):
         """Return positions of places from values (n, n_values), in the axes of the target, (n, 3) [m]; else None."""
         return None
 
-    def columns(self) -> Columns:
+    def columns(self) -> tuple[Column, ...]:
         """Return its columns; none for a touch, which has no numbers."""
-        return {} if self.touches else super().columns()
+        return () if self.touches else super().columns()
 
     @property
     def named(self) -> tuple[str, ...]:

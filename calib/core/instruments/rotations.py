@@ -20,7 +20,8 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError
-from calib.core.instruments.kind import Columns, Part
+from calib.core.base.units import Dimension
+from calib.core.instruments.kind import Column, Part
 from calib.core.numerics.rigid import cross_matrices
 
 Form = Literal["quaternion", "rpy", "intrinsic_xyz", "intrinsic_zyx", "intrinsic_zyz", "rotation_vector", "matrix"]
@@ -38,10 +39,11 @@ _EULER: dict[str, str] = {"rpy": "xyz", "intrinsic_xyz": "XYZ", "intrinsic_zyx":
 _UNIT_LENGTH = 0.05  # allowed deviation of a rounded quaternion from unit length, or of a matrix from a rotation
 
 
-def rotation_columns(name: str, form: Form) -> Columns:
+def rotation_columns(name: str, form: Form) -> tuple[Column, ...]:
     """Return the columns of an instrument's rotations in this form."""
     pure = form in ("quaternion", "matrix")
-    return {f"{name}_{part}": None if pure else "angle" for part in _COLUMNS[form]}
+    dimension: Dimension | None = None if pure else "angle"
+    return tuple(Column(f"{name}_{part}", dimension) for part in _COLUMNS[form])
 
 
 def read_rotations(name: str, form: Form, numbers: FloatArray) -> FloatArray:
@@ -51,7 +53,7 @@ def read_rotations(name: str, form: Form, numbers: FloatArray) -> FloatArray:
     if np.any(complete):
         bad, what = not_rotations(form, numbers[complete])
         if len(bad):
-            columns = ", ".join(rotation_columns(name, form))
+            columns = ", ".join(column.name for column in rotation_columns(name, form))
             reading = int(np.flatnonzero(complete)[bad[0]]) + 1
             raise DataError(
                 f"instrument '{name}', reading {reading}: is not {what}; check the columns {columns}, and"

@@ -130,10 +130,7 @@ def _change_by_angles(setting: EffectSetting, name: str, rows: BoolArray) -> Flo
     """Derivative of readings by the size of angles in their columns, else of the rotations, (n, n_rows)."""
     fit, readings = setting.fit, setting.data.readings[name]
     instrument, values = fit.robot.instrument(name), np.nan_to_num(readings.values)
-    cells, angles = (
-        instrument.cells(values),
-        [name for name, dimension in instrument.columns().items() if dimension == "angle"],
-    )
+    cells, angles = instrument.cells(values), [c.name for c in instrument.columns() if c.dimension == "angle"]
     larger = instrument.values(cells | {column: (1.0 + _STEP) * cells[column] for column in angles})
     if not angles and values.shape[1] == len(rows):
         larger = values * (1.0 + _STEP * rows)

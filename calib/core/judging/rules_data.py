@@ -315,8 +315,8 @@ def _chance_of_same(robot: Robot, data: Measurements, pairs: list[tuple[int, int
         instrument = robot.instrument(name)
         whole = np.full((len(data), readings.values.shape[1]), np.nan)
         whole[readings.visits] = readings.values
-        for dimension, numbers in zip(instrument.columns().values(), whole.T, strict=False):
-            least = _SCATTER.get(dimension, 0.0)
+        for column, numbers in zip(instrument.columns(), whole.T, strict=False):
+            least = _SCATTER.get(column.dimension, 0.0)
             if least == 0.0:
                 continue
             apart = np.array([numbers[a] - numbers[b] for a, b in pairs])

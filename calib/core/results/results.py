@@ -170,7 +170,7 @@ def _residual_columns(
     for state in STATES:
         for (axis, dimension), errors in zip(axes, getattr(error_set, state)[name].T, strict=True):
             columns[f"error_{state}_{axis} [{ERROR_UNIT[dimension]}]"] = in_unit(errors, ERROR_UNIT[dimension])
-    dimensions = instrument.columns()
+    dimensions = {column.name: column.dimension for column in instrument.columns()}
     for column, numbers in instrument.cells(readings.values).items():
         head = header(f"measured_{column.removeprefix(f'{name}_')}", dimensions[column])
         columns[head] = in_table_unit(numbers, dimensions[column])

@@ -200,8 +200,10 @@ class EarlierResult(LoadedResult):
         for name in dict.fromkeys(targets.tolist()):
             instrument = self.robot.instrument(name)
             cells = {
-                column: table.column(f"measured_{column.removeprefix(f'{name}_')}", dimension, gaps=True)
-                for column, dimension in instrument.columns().items()
+                column.name: table.column(
+                    f"measured_{column.name.removeprefix(f'{name}_')}", column.dimension, gaps=True
+                )
+                for column in instrument.columns()
             }
             values = np.broadcast_to(instrument.values(cells), (len(sets), instrument.values(cells).shape[1]))
             for label, own in result.items():

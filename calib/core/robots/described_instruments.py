@@ -44,7 +44,7 @@ def _check_columns(description: Description, instruments: tuple[Instrument, ...]
     """Raise `DescriptionError` if a column has two meanings."""
     owners: dict[str, Instrument] = {}
     for instrument in instruments:
-        for name in [*instrument.columns(), *instrument.text_columns()]:
+        for name in [*(column.name for column in instrument.columns()), *instrument.text_columns()]:
             other = owners.setdefault(name, instrument)
             if other is not instrument and (
                 instrument.label_column is None or instrument.label_column != other.label_column

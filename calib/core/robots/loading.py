@@ -199,8 +199,7 @@ def _check_columns(
 ) -> None:
     """Raise `DescriptionError` if a foreign column stands for something that is not read."""
     dimensions: dict[str, Dimension | None] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
-    for instrument in instruments:
-        dimensions |= instrument.columns()
+    dimensions |= {column.name: column.dimension for instrument in instruments for column in instrument.columns()}
     dimensions |= condition_columns()
     for sensor in description.inclinometers:
         dimensions |= columns_of(sensor)

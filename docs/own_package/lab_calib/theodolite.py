@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.extend import (
-    Columns,
+    Column,
     Comparison,
     ComputationError,
     DataError,
@@ -64,9 +64,9 @@ class Theodolite(FrameInstrument):
         """Return station and target."""
         return ((self.station.name, self.target),)
 
-    def columns(self) -> Columns:
+    def columns(self) -> tuple[Column, ...]:
         """Return `<name>_azimuth` and `<name>_elevation`."""
-        return {f"{self.name}_{axis}": "angle" for axis in self.parts[0].axes}
+        return tuple(Column(f"{self.name}_{axis}", "angle") for axis in self.parts[0].axes)
 
     def values(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the angles, (n, 2) [rad]; refuse an elevation beyond 90 degrees."""

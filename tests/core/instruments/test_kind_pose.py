@@ -65,7 +65,9 @@ def test_angles_mean_what_their_form_says(form, sequence):
     }
     factors = [about[axis.lower()](k) for k, axis in enumerate(sequence)]
     expected = factors[0] @ factors[1] @ factors[2] if sequence.isupper() else factors[2] @ factors[1] @ factors[0]
-    columns = dict(zip(instrument.columns(), np.hstack([np.zeros((1, 3)), angles]).T, strict=True))
+    columns = dict(
+        zip([column.name for column in instrument.columns()], np.hstack([np.zeros((1, 3)), angles]).T, strict=True)
+    )
     result = Rotation.from_rotvec(instrument.values(columns)[:, 3:].copy()).as_matrix()[0]
     assert np.allclose(result, expected, rtol=0, atol=1e-12)
 

@@ -138,18 +138,19 @@ class Problem(ReadOnlyArrays):
         whitening = self.whitening if known else Whitening(self.robot, data, self.sigma)
         return replace(self, data=data, passive=passive, whitening=whitening, noise_found=whitening.is_unstated)
 
-    def contradicted_groups(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
-        """Return a mask of the groups whose found scale contradicts their stated noise, (n_groups,).
+    def largest_scales(self, efficiency: float = 1.0) -> FloatArray:
+        """Return the largest scale that chance explains of each group, (n_groups,); infinite without stated noise.
+
+        A larger scale that is found contradicts the stated noise, whose scale is 1.
 
         Args:
-            scales: Found scales; 1 is the stated noise, (n_groups,).
             efficiency: Efficiency of the estimate of the scales, relative to least squares.
         """
         counts = self.whitening.layout.counts
         left = max(1.0 - len(self.unknowns) / max(int(np.sum(counts)), 1), _LEAST_FREEDOM)
         freedom = np.maximum(efficiency * left * counts, 1e-3)
-        chance = scipy.special.chdtrc(freedom, freedom * scales**2)
-        return np.asarray(~self.whitening.is_unstated & (scales > 1.0) & (chance < UNLIKELY))
+        largest = np.sqrt(scipy.special.chdtri(freedom, UNLIKELY) / freedom)
+        return np.where(self.whitening.is_unstated, np.inf, np.maximum(largest, 1.0))
 
     @property
     def confirmed_freedom(self) -> FloatArray:

@@ -35,7 +35,7 @@ from calib.core.numerics.least_squares import TOLERANCE
 from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.size_search import find_sizes, variance_by_sizes
 from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, find_factors, statistics
-from calib.core.numerics.tall import Span
+from calib.core.numerics.tall import Span, squares_of_rows
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 from calib.core.rows.rows import Rows
@@ -202,7 +202,7 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> R
         if not finds:
             return RobustSolution(problem, at, groups, solution)
         scales, sizes = scales_found(problem, at, groups)
-        consistent = problem.noise_found & ~unstated & ~problem.contradicted_groups(scales)
+        consistent = problem.noise_found & ~unstated & (scales <= problem.largest_scales())
         if np.any(consistent):
             problem = replace(problem, noise_found=problem.noise_found & ~consistent)
             groups = np.where(consistent, 1.0, scales)
@@ -254,12 +254,31 @@ def release_contradicted_noise(
         evaluation: The point of the linear model.
         groups: Scales to keep where nothing is contradicted, (n_groups,).
     """
+    largest = problem.largest_scales()
+    if not _may_contradict(problem, evaluation, np.where(problem.whitening.is_unstated, groups, largest)):
+        return problem, groups
     all_found = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
     scales, _ = scales_found(all_found, evaluation, groups, rough=True)
-    contradicted = problem.contradicted_groups(scales)
+    contradicted = scales > largest
     return replace(problem, noise_found=problem.whitening.is_unstated | contradicted), np.where(
         contradicted, scales, groups
     )
+
+
+def _may_contradict(problem: Problem, evaluation: Evaluation, scales: FloatArray) -> bool:
+    """Whether the likeliest scale of a group may be above one of `scales`, (n_groups,).
+
+    At the likeliest scales, the squares of whitened residuals of each group are as many as its degrees of freedom
+    (`calib.core.numerics.mixed_model`, gradient); at smaller ones, they are more.
+    """
+    unknowns = problem.unknowns
+    model = problem.compressed(evaluation, scales, unknowns)
+    counts, group = model.layout.counts, model.layout.group
+    if len(unknowns.families) or np.sum(counts) <= len(unknowns):  # other sizes are found too, or no noise is
+        return True
+    left = model.residuals + model.jacobian @ model.step()
+    decided = np.bincount(group, left**2 + squares_of_rows(model.span), len(counts))
+    return bool(np.any(decided > counts))
 
 
 def uncertainty_at(

@@ -28,7 +28,7 @@ from calib.core.fitting.robust import RobustSolution, solve_robust
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solved_fit import Convergence
 from calib.core.fitting.starts import explore
-from calib.core.numerics.chances import EXACT, HARDLY
+from calib.core.numerics.chances import EXACT, HARDLY, UNLIKELY
 from calib.core.numerics.clusters import Scatter, scatter
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE
@@ -329,9 +329,9 @@ def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weig
     layout = rows.layout
     noise = factors.slope * np.where(layout.group >= 0, factors.effective[layout.group], 1.0)
     pulling = rows.residuals if weights is None else weights[layout.reading] * rows.residuals
-    found = scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom)
     several = layout.n_readings >= 2 * len(np.unique(layout.pose))  # these probably share an error
-    return replace(found, level=HARDLY) if several else found
+    level = HARDLY if several else UNLIKELY
+    return scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom, level)
 
 
 def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Convergence:

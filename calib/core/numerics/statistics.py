@@ -144,7 +144,7 @@ class Statistics(ReadOnlyArrays):
     @property
     def shared_scatter(self) -> Scatter | None:
         """Scatter of poses, where it is larger than that of independent readings beyond chance; else None."""
-        return _scatter_beyond_chance(self.poses)
+        return None if self.poses is None or self.poses.core is None else self.poses
 
     @property
     def interval_freedom(self) -> float:
@@ -171,10 +171,6 @@ class Statistics(ReadOnlyArrays):
         with np.errstate(divide="ignore", invalid="ignore"):
             unit = self.covariance / self.std / self.std[:, None]
         return np.clip(unit, -1.0, 1.0)
-
-
-def _scatter_beyond_chance(poses: Scatter | None) -> Scatter | None:
-    return poses if poses is not None and poses.ratio > 1.0 and poses.chance < poses.level else None
 
 
 def status(
@@ -300,7 +296,7 @@ def statistics(
         poses, beyond_linear: Attributes of the result.
         by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
     """
-    root, shared = known.root, _scatter_beyond_chance(poses)
+    root, shared = known.root, None if poses is None else poses.core
     by_prior = float(np.sum(prior.times(root) ** 2))
     if shared is None and len(factors.effective) == 1:  # the rows have the rest of the information
         factor = factors.slope * factors.effective[0] ** 2
@@ -310,7 +306,7 @@ def statistics(
     else:
         core = prior_shares(known, prior)  # with a robust loss, J is times the root of the slope in T
         if shared is not None:
-            core += shared.core
+            core += shared
         for part in slices(len(span)) if shared is None else ():
             pulled, number = span[part], groups[part]
             for group, factor in enumerate(factors.effective):

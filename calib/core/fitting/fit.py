@@ -186,6 +186,7 @@ def fit_at(
         determination=minimum.determined,
         observability=_observability(problem, final, minimum.determined.free.rank),
         rows=rows,
+        joint_derivative=final.joint_derivative,
         whitening=problem.whitening,
         scales=scales,
         seconds=float("nan"),

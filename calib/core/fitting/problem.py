@@ -60,13 +60,20 @@ class Evaluation:
 
     @cached_property
     def observed(self) -> dict[str, Observed]:
-        """Residuals and derivatives of each instrument, by name."""
-        return observe(self.robot, self.configurations, self.readings)
+        """Residuals and derivatives of each instrument, by name; those by joints take little more work."""
+        return observe(self.robot, self.configurations, self.readings, joints=True)
 
     @cached_property
     def residuals(self) -> dict[str, FloatArray]:
         """Predicted minus read, of each instrument, (n, n_rows) [SI]; NaN where a component was not read."""
         return {name: observed.residuals for name, observed in self.observed.items()}
+
+    @cached_property
+    def joint_derivative(self) -> dict[str, FloatArray]:
+        """Derivative of the readings by the actuated joints, of each instrument, (n, n_rows, n_actuated) [SI]."""
+        result = {name: observed.joint_derivative.copy() for name, observed in self.observed.items()}
+        hold(*result.values())
+        return result
 
     def keep_whitened(self, groups: FloatArray, unknowns: Unknowns, columns: FloatArray) -> None:
         """Keep the derivative of the rows (n_rows, n_unknowns) in place of that of the readings, computed when used.
@@ -75,7 +82,7 @@ class Evaluation:
             groups: Scales of the groups that whiten it, (n_groups,).
         """
         hold(columns)
-        _ = self.residuals
+        _ = self.residuals, self.joint_derivative
         self.whitened[:] = [(groups, unknowns, columns)]
         vars(self).pop("observed", None)
 

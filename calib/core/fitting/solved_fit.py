@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -80,6 +81,7 @@ class SolvedFit(ReadOnlyArrays):
         determination: Ranks of poses and priors at `placed`, as in `calib check`.
         observability: O1 to O5 on scaled columns.
         rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
+        joint_derivative: Derivative of the readings by the actuated joints, (n, n_rows, n_actuated) [SI] by instrument.
         scales: Assumed scale of the noise of each group, (n_groups,).
         seconds: Duration of the whole computation.
         weights: Weight of each reading, (n_readings,); 1 without a robust loss.
@@ -97,6 +99,7 @@ class SolvedFit(ReadOnlyArrays):
     determination: Determination
     observability: dict[str, float]
     rows: Rows
+    joint_derivative: Mapping[str, FloatArray]
     whitening: Whitening
     scales: FloatArray
     seconds: float
@@ -201,13 +204,6 @@ class SolvedFit(ReadOnlyArrays):
         if carries_home(robot.mechanism, robot.mode):
             return True
         return bool(np.all(robot.close(self.identification.data.joints, columns=columns).ok))
-
-    @cached_property
-    def joint_derivative(self) -> dict[str, FloatArray]:
-        """Derivative of the readings by the actuated joints, of each instrument, (n, n_rows, n_actuated) [SI]."""
-        none, readings = np.zeros(0, dtype=np.intp), self.identification.data.readings  # no parameters
-        observed = observe(self.robot, self.configurations, readings, joints=True, index=none)
-        return {name: own.joint_derivative.copy() for name, own in observed.items()}  # the rest takes memory
 
     def whitened_residuals_and_rows(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
         """Return residuals before (n_rows,) and rows after calibration at new visits, whitened by the found noise."""

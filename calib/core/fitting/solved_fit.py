@@ -13,9 +13,11 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.fitting.error_sets import ErrorSet, Residuals
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
-from calib.core.numerics.identifiability import Rank
+from calib.core.numerics.identifiability import Rank, reduce_rows
 from calib.core.numerics.losses import Loss
+from calib.core.numerics.observability import observability
 from calib.core.numerics.statistics import ChiSquare, Statistics, chi_square
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.loops import carries_home
@@ -79,7 +81,6 @@ class SolvedFit(ReadOnlyArrays):
         configurations: The assembled visits of `identification`, at the solution.
         statistics: Uncertainty of the free parameters.
         determination: Ranks of poses and priors at `placed`, as in `calib check`.
-        observability: O1 to O5 on scaled columns.
         rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
         joint_derivative: Derivative of the readings by the actuated joints, (n, n_rows, n_actuated) [SI] by instrument.
         scales: Assumed scale of the noise of each group, (n_groups,).
@@ -97,7 +98,6 @@ class SolvedFit(ReadOnlyArrays):
     unknowns: Unknowns
     statistics: Statistics
     determination: Determination
-    observability: dict[str, float]
     rows: Rows
     joint_derivative: Mapping[str, FloatArray]
     whitening: Whitening
@@ -144,6 +144,14 @@ class SolvedFit(ReadOnlyArrays):
     def free_names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
         return self.unknowns.names
+
+    @cached_property
+    def observability(self) -> dict[str, float]:
+        """O1 to O5 on scaled columns, without those of families: priors decide which of their rows count."""
+        units = self.scales * [group.typical if group.stated else 1.0 for group in self.whitening.groups]
+        columns = self.rows.jacobian[:, self.unknowns.family < 0] * self.whitening.row_scale(units)[:, None]
+        values = linalg.singular_values(reduce_rows(columns))
+        return observability(values[: self.rank.rank], len(self.identification.data))
 
     @cached_property
     def noise(self) -> tuple[NoiseEstimate, ...]:

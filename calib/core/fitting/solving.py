@@ -271,11 +271,11 @@ def _may_contradict(problem: Problem, evaluation: Evaluation, scales: FloatArray
     At the likeliest scales, the squares of whitened residuals of each group are as many as its degrees of freedom
     (`calib.core.numerics.mixed_model`, gradient); at smaller ones, they are more.
     """
-    unknowns = problem.unknowns
-    model = problem.compressed(evaluation, scales, unknowns)
-    counts, group = model.layout.counts, model.layout.group
+    unknowns, counts = problem.unknowns, problem.whitening.layout.counts
     if len(unknowns.families) or np.sum(counts) <= len(unknowns):  # other sizes are found too, or no noise is
         return True
+    model = problem.compressed(evaluation, scales, unknowns)
+    group = model.layout.group
     left = model.residuals + model.jacobian @ model.step()
     decided = np.bincount(group, left**2 + squares_of_rows(model.span), len(counts))
     return bool(np.any(decided > counts))

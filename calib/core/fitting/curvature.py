@@ -65,11 +65,8 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     if not n_held:
         return squares
     problem, final, times = _problem_at_some_poses(problem, final)
-    jacobian, known = rows.jacobian, rows.posterior_information
-    if times != 1.0:
-        jacobian = np.sqrt(times) * problem.rows(final, groups).jacobian
-        known = information(jacobian, rows.prior.rows)
-    back, columns = known.covariance @ jacobian.T, problem.unknowns.select(own)
+    jacobian = rows.jacobian if times == 1.0 else np.sqrt(times) * problem.rows(final, groups).jacobian
+    back, columns = information(jacobian, rows.prior.rows).covariance @ jacobian.T, problem.unknowns.select(own)
     for i in range(n_held):
         for step in (_STEP, -_STEP):
             moved = problem.unknowns.robot_at(final.robot, rows.deviations + step * directions[:, i])

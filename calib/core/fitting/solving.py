@@ -7,6 +7,8 @@ errors, the noise of a good tracker is the least part. With a statement that res
 parameters hundreds of sigmas away from their expected values, and slowly, along bent valleys. So the noise of such a
 group is found as well, where chance explains the residuals in less than one case of a thousand. The linear model around
 the start decides. If its residuals come from curvature, so that the minimum contradicts nothing, the statement is used.
+At the likeliest scales, the squares of whitened residuals of each group are as many as its degrees of freedom, and at
+larger ones fewer. So where they are fewer at the largest scales that chance explains, no search follows.
 (`calib.core.judging.rules_noise` gives the verdict on the statement itself.)
 """
 
@@ -254,31 +256,19 @@ def release_contradicted_noise(
         evaluation: The point of the linear model.
         groups: Scales to keep where nothing is contradicted, (n_groups,).
     """
-    largest = problem.largest_scales()
-    if not _may_contradict(problem, evaluation, np.where(problem.whitening.is_unstated, groups, largest)):
-        return problem, groups
+    unknowns, counts, largest = problem.unknowns, problem.whitening.layout.counts, problem.largest_scales()
+    if not len(unknowns.families) and np.sum(counts) > len(unknowns):  # else other sizes are found too, or no noise
+        model = problem.compressed(evaluation, np.where(problem.whitening.is_unstated, groups, largest), unknowns)
+        left = model.residuals + model.jacobian @ model.step()
+        decided = np.bincount(model.layout.group, left**2 + squares_of_rows(model.span), len(counts))
+        if np.all(decided <= counts):
+            return problem, groups
     all_found = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
     scales, _ = scales_found(all_found, evaluation, groups, rough=True)
     contradicted = scales > largest
     return replace(problem, noise_found=problem.whitening.is_unstated | contradicted), np.where(
         contradicted, scales, groups
     )
-
-
-def _may_contradict(problem: Problem, evaluation: Evaluation, scales: FloatArray) -> bool:
-    """Whether the likeliest scale of a group may be above one of `scales`, (n_groups,).
-
-    At the likeliest scales, the squares of whitened residuals of each group are as many as its degrees of freedom
-    (`calib.core.numerics.mixed_model`, gradient); at smaller ones, they are more.
-    """
-    unknowns, counts = problem.unknowns, problem.whitening.layout.counts
-    if len(unknowns.families) or np.sum(counts) <= len(unknowns):  # other sizes are found too, or no noise is
-        return True
-    model = problem.compressed(evaluation, scales, unknowns)
-    group = model.layout.group
-    left = model.residuals + model.jacobian @ model.step()
-    decided = np.bincount(group, left**2 + squares_of_rows(model.span), len(counts))
-    return bool(np.any(decided > counts))
 
 
 def uncertainty_at(
@@ -317,8 +307,10 @@ def uncertainty_at(
     return rows, solved.groups, uncertainty
 
 
-def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weights: FloatArray | None) -> Scatter:
-    """Return the common scatter of the readings of each pose (`calib.core.numerics.clusters`).
+def scatter_of_poses(
+    rows: Rows, span: FloatArray | Span, factors: Factors, weights: FloatArray | None
+) -> Scatter | None:
+    """Return the scatter of the readings of each pose (`calib.core.numerics.clusters`), where they share errors.
 
     Args:
         rows: Rows at the minimum, without the weights of a robust loss.
@@ -331,7 +323,8 @@ def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weig
     pulling = rows.residuals if weights is None else weights[layout.reading] * rows.residuals
     several = layout.n_readings >= 2 * len(np.unique(layout.pose))  # these probably share an error
     level = HARDLY if several else UNLIKELY
-    return scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom, level)
+    found = scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom, level)
+    return None if found.core is None else found
 
 
 def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Convergence:

@@ -140,14 +140,10 @@ def core_of_blocks(span: FloatArray | Span, residuals: FloatArray, noise: FloatA
         level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
         alone = values >= _OWN
         drawn = np.where(alone, 0.0, errors / np.sqrt(np.where(alone, 1.0, 1.0 - values)))
-        core += _products(np.matmul(drawn[:, None], turned)[:, 0])
-        if np.any(alone):
-            core += _products(turned.reshape(-1, k) * np.where(alone, level, 0.0).reshape(-1, 1))
+        pulls = np.matmul(drawn[:, None], turned)[:, 0]
+        by_noise = (turned * np.where(alone, level, 0.0)[..., None]).reshape(-1, k)
+        core += pulls.T @ pulls + by_noise.T @ by_noise
     return core
-
-
-def _products(rows: FloatArray) -> FloatArray:
-    return rows.T @ rows
 
 
 def blocks_of_equal_length(block: IntArray) -> Iterator[IntArray]:

@@ -118,7 +118,8 @@ class Statistics(ReadOnlyArrays):
         std: Standard deviations, (n_free,) [m, rad].
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
         effective_parameters: Number of parameters that the data decide, n_eff of the module docstring.
-        poses: Common scatter of the readings of each pose; None if readings are independent.
+        shared_scatter: Scatter of the readings of each pose, where it is larger than that of independent ones beyond
+            chance; else None.
         beyond_linear: Errors beyond the linear model, which enter `half_width` only; None if there are none.
         wider: Further factor on standard deviations and intervals, (n_free,).
     """
@@ -129,7 +130,7 @@ class Statistics(ReadOnlyArrays):
     std: FloatArray
     data_share: FloatArray
     effective_parameters: float
-    poses: Scatter | None = None
+    shared_scatter: Scatter | None = None
     beyond_linear: BeyondLinear | None = None
     wider: FloatArray | float = 1.0
 
@@ -140,11 +141,6 @@ class Statistics(ReadOnlyArrays):
         half = self.wider * self.coverage_factor * np.sqrt((self.std / self.wider) ** 2 + beyond)
         hold(half)
         return half
-
-    @property
-    def shared_scatter(self) -> Scatter | None:
-        """Scatter of poses, where it is larger than that of independent readings beyond chance; else None."""
-        return None if self.poses is None or self.poses.core is None else self.poses
 
     @property
     def interval_freedom(self) -> float:

@@ -71,22 +71,16 @@ def observe(
     *,
     joints: bool = False,
     derivatives: bool = True,
-    index: IntArray | None = None,
 ) -> dict[str, Observed]:
     """Compare readings with those that the robot predicts.
 
     Args:
         readings: Readings of each instrument, by name; visits are indices into the configurations.
         joints: Whether to include derivatives by the actuated joints.
-        index: Parameters (k,) of the derivatives, if not all; those by others are left 0.
     """
     mechanism = robot.mechanism
     n_driven = len(mechanism.driven) if joints or robot.terms else 0
-    twists = np.zeros((6 * mechanism.n_joints, robot.coefficients.start))
-    if index is None or len(index):
-        twists = parameter_twists(robot)
-    if index is not None:
-        twists *= np.isin(np.arange(twists.shape[1]), index)
+    twists = parameter_twists(robot)
     if n_driven:
         twists = np.hstack([twists, joint_twists(mechanism)])
     width = robot.coefficients.start + n_driven if derivatives else 0

@@ -39,8 +39,6 @@ from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.fitting.robust import RobustSolution
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import convergence_at, place, reset_unseen, reuse_placement, solve_from, uncertainty_at
-from calib.core.numerics import linalg
-from calib.core.numerics.observability import observability
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.rows.determination import Determination
@@ -184,8 +182,8 @@ def fit_at(
         unknowns=problem.unknowns,
         statistics=uncertainty,
         determination=minimum.determined,
-        observability=_observability(problem, final, minimum.determined.free.rank),
         rows=rows,
+        joint_derivative=final.joint_derivative,
         whitening=problem.whitening,
         scales=scales,
         seconds=float("nan"),
@@ -205,13 +203,6 @@ def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measu
     """Return a function that fits a part of the measurements of a fit and predicts the rest, from one start."""
     nearby = replace(WarmStart.from_fit(fit), placed=None)  # a part has its own placement
     return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=nearby)
-
-
-def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
-    units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
-    own = problem.unknowns.select(problem.unknowns.family < 0)  # priors decide which rows of families count
-    factor = problem.compressed(final, units, own).jacobian
-    return observability(linalg.singular_values(factor)[:rank], len(problem.data))
 
 
 def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tuple[str, ...]:

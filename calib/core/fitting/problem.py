@@ -60,13 +60,20 @@ class Evaluation:
 
     @cached_property
     def observed(self) -> dict[str, Observed]:
-        """Residuals and derivatives of each instrument, by name."""
-        return observe(self.robot, self.configurations, self.readings)
+        """Residuals and derivatives of each instrument, by name; those by joints take little more work."""
+        return observe(self.robot, self.configurations, self.readings, joints=True)
 
     @cached_property
     def residuals(self) -> dict[str, FloatArray]:
         """Predicted minus read, of each instrument, (n, n_rows) [SI]; NaN where a component was not read."""
         return {name: observed.residuals for name, observed in self.observed.items()}
+
+    @cached_property
+    def joint_derivative(self) -> dict[str, FloatArray]:
+        """Derivative of the readings by the actuated joints, of each instrument, (n, n_rows, n_actuated) [SI]."""
+        result = {name: observed.joint_derivative.copy() for name, observed in self.observed.items()}
+        hold(*result.values())
+        return result
 
     def keep_whitened(self, groups: FloatArray, unknowns: Unknowns, columns: FloatArray) -> None:
         """Keep the derivative of the rows (n_rows, n_unknowns) in place of that of the readings, computed when used.
@@ -75,7 +82,7 @@ class Evaluation:
             groups: Scales of the groups that whiten it, (n_groups,).
         """
         hold(columns)
-        _ = self.residuals
+        _ = self.residuals, self.joint_derivative
         self.whitened[:] = [(groups, unknowns, columns)]
         vars(self).pop("observed", None)
 
@@ -138,18 +145,19 @@ class Problem(ReadOnlyArrays):
         whitening = self.whitening if known else Whitening(self.robot, data, self.sigma)
         return replace(self, data=data, passive=passive, whitening=whitening, noise_found=whitening.is_unstated)
 
-    def contradicted_groups(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
-        """Return a mask of the groups whose found scale contradicts their stated noise, (n_groups,).
+    def largest_scales(self, efficiency: float = 1.0) -> FloatArray:
+        """Return the largest scale that chance explains of each group, (n_groups,); infinite without stated noise.
+
+        A larger scale that is found contradicts the stated noise, whose scale is 1.
 
         Args:
-            scales: Found scales; 1 is the stated noise, (n_groups,).
             efficiency: Efficiency of the estimate of the scales, relative to least squares.
         """
         counts = self.whitening.layout.counts
         left = max(1.0 - len(self.unknowns) / max(int(np.sum(counts)), 1), _LEAST_FREEDOM)
         freedom = np.maximum(efficiency * left * counts, 1e-3)
-        chance = scipy.special.chdtrc(freedom, freedom * scales**2)
-        return np.asarray(~self.whitening.is_unstated & (scales > 1.0) & (chance < UNLIKELY))
+        largest = np.sqrt(scipy.special.chdtri(freedom, UNLIKELY) / freedom)
+        return np.where(self.whitening.is_unstated, np.inf, np.maximum(largest, 1.0))
 
     @property
     def confirmed_freedom(self) -> FloatArray:

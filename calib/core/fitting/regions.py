@@ -71,7 +71,7 @@ def scatter_without_blocks(rows: Rows, statistics: Statistics, block: IntArray) 
     factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     of_row = block[layout.visit[layout.reading]]
     noise = np.full(layout.n_rows, factor)
-    moved: Scatter = scatter(rows.span, rows.residuals, noise, of_row, statistics.freedom)
+    moved: Scatter = scatter(rows.span, rows.residuals, noise, of_row, statistics.freedom, level=0.0)  # without core
     return (
         (moved.ratio, moved.chance) if statistics.shared_scatter is None else moved.ratio_to(statistics.shared_scatter)
     )

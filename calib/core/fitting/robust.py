@@ -137,7 +137,7 @@ def _initial_scales(problem: Problem, rows: Rows, groups: FloatArray) -> tuple[F
         return groups, unstated
     step = _linear_solution(rows, "huber", None, True)[2]
     scales = groups * _levels(replace(rows, residuals=rows.residuals + rows.jacobian @ step))
-    noise_found = unstated | problem.contradicted_groups(scales, _MEDIAN)
+    noise_found = unstated | (scales > problem.largest_scales(_MEDIAN))
     return np.where(unstated, groups, np.where(noise_found, scales, 1.0)), noise_found
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,9 +13,11 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.fitting.error_sets import ErrorSet, Residuals
+from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
-from calib.core.numerics.identifiability import Rank
+from calib.core.numerics.identifiability import Rank, reduce_rows
 from calib.core.numerics.losses import Loss
+from calib.core.numerics.observability import observability
 from calib.core.numerics.statistics import ChiSquare, Statistics, chi_square
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.loops import carries_home
@@ -78,8 +81,8 @@ class SolvedFit(ReadOnlyArrays):
         configurations: The assembled visits of `identification`, at the solution.
         statistics: Uncertainty of the free parameters.
         determination: Ranks of poses and priors at `placed`, as in `calib check`.
-        observability: O1 to O5 on scaled columns.
         rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
+        joint_derivative: Derivative of the readings by the actuated joints, (n, n_rows, n_actuated) [SI] by instrument.
         scales: Assumed scale of the noise of each group, (n_groups,).
         seconds: Duration of the whole computation.
         weights: Weight of each reading, (n_readings,); 1 without a robust loss.
@@ -95,8 +98,8 @@ class SolvedFit(ReadOnlyArrays):
     unknowns: Unknowns
     statistics: Statistics
     determination: Determination
-    observability: dict[str, float]
     rows: Rows
+    joint_derivative: Mapping[str, FloatArray]
     whitening: Whitening
     scales: FloatArray
     seconds: float
@@ -141,6 +144,14 @@ class SolvedFit(ReadOnlyArrays):
     def free_names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
         return self.unknowns.names
+
+    @cached_property
+    def observability(self) -> dict[str, float]:
+        """O1 to O5 on scaled columns, without those of families: priors decide which of their rows count."""
+        units = self.scales * [group.typical if group.stated else 1.0 for group in self.whitening.groups]
+        columns = self.rows.jacobian[:, self.unknowns.family < 0] * self.whitening.row_scale(units)[:, None]
+        values = linalg.singular_values(reduce_rows(columns))
+        return observability(values[: self.rank.rank], len(self.identification.data))
 
     @cached_property
     def noise(self) -> tuple[NoiseEstimate, ...]:
@@ -201,13 +212,6 @@ class SolvedFit(ReadOnlyArrays):
         if carries_home(robot.mechanism, robot.mode):
             return True
         return bool(np.all(robot.close(self.identification.data.joints, columns=columns).ok))
-
-    @cached_property
-    def joint_derivative(self) -> dict[str, FloatArray]:
-        """Derivative of the readings by the actuated joints, of each instrument, (n, n_rows, n_actuated) [SI]."""
-        none, readings = np.zeros(0, dtype=np.intp), self.identification.data.readings  # no parameters
-        observed = observe(self.robot, self.configurations, readings, joints=True, index=none)
-        return {name: own.joint_derivative.copy() for name, own in observed.items()}  # the rest takes memory
 
     def whitened_residuals_and_rows(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
         """Return residuals before (n_rows,) and rows after calibration at new visits, whitened by the found noise."""

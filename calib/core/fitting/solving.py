@@ -7,6 +7,8 @@ errors, the noise of a good tracker is the least part. With a statement that res
 parameters hundreds of sigmas away from their expected values, and slowly, along bent valleys. So the noise of such a
 group is found as well, where chance explains the residuals in less than one case of a thousand. The linear model around
 the start decides. If its residuals come from curvature, so that the minimum contradicts nothing, the statement is used.
+At the likeliest scales, the squares of whitened residuals of each group are as many as its degrees of freedom, and at
+larger ones fewer. So where they are fewer at the largest scales that chance explains, no search follows.
 (`calib.core.judging.rules_noise` gives the verdict on the statement itself.)
 """
 
@@ -28,14 +30,14 @@ from calib.core.fitting.robust import RobustSolution, solve_robust
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solved_fit import Convergence
 from calib.core.fitting.starts import explore
-from calib.core.numerics.chances import EXACT, HARDLY
+from calib.core.numerics.chances import EXACT, HARDLY, UNLIKELY
 from calib.core.numerics.clusters import Scatter, scatter
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE
 from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.size_search import find_sizes, variance_by_sizes
 from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, find_factors, statistics
-from calib.core.numerics.tall import Span
+from calib.core.numerics.tall import Span, squares_of_rows
 from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 from calib.core.rows.rows import Rows
@@ -202,7 +204,7 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> R
         if not finds:
             return RobustSolution(problem, at, groups, solution)
         scales, sizes = scales_found(problem, at, groups)
-        consistent = problem.noise_found & ~unstated & ~problem.contradicted_groups(scales)
+        consistent = problem.noise_found & ~unstated & (scales <= problem.largest_scales())
         if np.any(consistent):
             problem = replace(problem, noise_found=problem.noise_found & ~consistent)
             groups = np.where(consistent, 1.0, scales)
@@ -254,9 +256,15 @@ def release_contradicted_noise(
         evaluation: The point of the linear model.
         groups: Scales to keep where nothing is contradicted, (n_groups,).
     """
+    unknowns, n_rows, largest = problem.unknowns, int(np.sum(problem.whitening.layout.counts)), problem.largest_scales()
+    if len(groups) == 1 and not len(unknowns.families) and n_rows > len(unknowns):  # the scale is the only size
+        model = problem.compressed(evaluation, np.where(problem.whitening.is_unstated, groups, largest), unknowns)
+        left = model.residuals + model.jacobian @ model.step()
+        if np.sum(left**2 + squares_of_rows(model.span)) <= n_rows:
+            return problem, groups
     all_found = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
     scales, _ = scales_found(all_found, evaluation, groups, rough=True)
-    contradicted = problem.contradicted_groups(scales)
+    contradicted = scales > largest
     return replace(problem, noise_found=problem.whitening.is_unstated | contradicted), np.where(
         contradicted, scales, groups
     )
@@ -298,8 +306,10 @@ def uncertainty_at(
     return rows, solved.groups, uncertainty
 
 
-def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weights: FloatArray | None) -> Scatter:
-    """Return the common scatter of the readings of each pose (`calib.core.numerics.clusters`).
+def scatter_of_poses(
+    rows: Rows, span: FloatArray | Span, factors: Factors, weights: FloatArray | None
+) -> Scatter | None:
+    """Return the scatter of the readings of each pose (`calib.core.numerics.clusters`), where they share errors.
 
     Args:
         rows: Rows at the minimum, without the weights of a robust loss.
@@ -310,9 +320,10 @@ def scatter_of_poses(rows: Rows, span: FloatArray | Span, factors: Factors, weig
     layout = rows.layout
     noise = factors.slope * np.where(layout.group >= 0, factors.effective[layout.group], 1.0)
     pulling = rows.residuals if weights is None else weights[layout.reading] * rows.residuals
-    found = scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom)
     several = layout.n_readings >= 2 * len(np.unique(layout.pose))  # these probably share an error
-    return replace(found, level=HARDLY) if several else found
+    level = HARDLY if several else UNLIKELY
+    found = scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom, level)
+    return None if found.core is None else found
 
 
 def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Convergence:

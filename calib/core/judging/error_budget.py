@@ -207,7 +207,7 @@ def _batches(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout)
     """Derivative (n_rows, n_free) and residuals (n_rows,) of all rows, of a robot on the path."""
     data = errors.data
     configurations = robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
-    observed = observe(robot, configurations, data.readings, index=unknowns.index)
+    observed = observe(robot, configurations, data.readings)
     jacobian = _flat({name: block.derivative_by(unknowns.index) for name, block in observed.items()}, layout)
     return jacobian, _flat({name: block.residuals for name, block in observed.items()}, layout)
 

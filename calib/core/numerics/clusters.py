@@ -52,20 +52,19 @@ class Scatter(ReadOnlyArrays):
     """Scatter of the rows of blocks.
 
     Attributes:
-        core: Covariance of U^T e of the module docstring, (k, k).
-        ratio: Root of D over its mean; NaN without noise, or where no block shares a direction with another one.
+        ratio: Root of D of the module docstring over its mean; NaN without noise, or where no block shares a direction
+            with another one.
         chance: Chance of a D at least this large from independent rows.
         freedom: Number of squares behind a direction of the core.
         total_freedom: Number of squares behind D.
-        level: A smaller chance says that the rows of a block share errors.
+        core: Covariance of U^T e, (k, k), where the rows of a block share errors; else None.
     """
 
-    core: FloatArray
     ratio: float
     chance: float
     freedom: float
     total_freedom: float
-    level: float = UNLIKELY
+    core: FloatArray | None = None
 
     def ratio_to(self, finer: Scatter) -> tuple[float, float]:
         """Return the ratio of this scatter to that of smaller blocks inside these, and its chance if both are alike."""
@@ -74,7 +73,12 @@ class Scatter(ReadOnlyArrays):
 
 
 def scatter(
-    span: FloatArray | Span, residuals: FloatArray, noise: FloatArray, block: IntArray, freedom: float
+    span: FloatArray | Span,
+    residuals: FloatArray,
+    noise: FloatArray,
+    block: IntArray,
+    freedom: float,
+    level: float = UNLIKELY,
 ) -> Scatter:
     """Return the scatter of the rows of blocks.
 
@@ -84,39 +88,62 @@ def scatter(
         noise: f of each row, (n_rows,).
         block: Block of each row, (n_rows,); -1 for rows that belong to none.
         freedom: Degrees of freedom of the estimate of f.
+        level: A smaller chance says that the rows of a block share errors.
     """
     k, noisy = span.shape[1], False
-    core, leverage = np.zeros((k, k)), np.zeros((k, k))
+    leverage = np.zeros((k, k))
     moved = mean = squares = decided_parts = fourth = 0.0
     for rows in blocks_of_equal_length(block):
-        values, errors, turned = directions(span[rows], residuals[rows])
-        along = turned.reshape(-1, k)  # rows of all blocks, one after another
-        level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
-        alone = values >= _OWN
-        left = np.where(alone, 1.0, 1.0 - values)
-        drawn = np.where(alone, 0.0, errors / np.sqrt(left))
-        core += _products(np.matmul(drawn[:, None], turned)[:, 0])
-        if np.any(alone):
-            core += _products(along * np.where(alone, level, 0.0).reshape(-1, 1))
-        w = np.where(alone, 0.0, values)
-        moved += float(np.sum(w * (drawn / np.maximum(level, _NONE)) ** 2))
-        mean += float(np.sum(w))
-        squares += float(np.sum(w**2) - np.sum((w**2 / left) ** 2))
-        leverage += _products(np.sqrt(w / left).reshape(-1, 1) * along)
-        decided_parts += float(np.sum(values))
-        fourth += float(2.0 * np.sum(values**2) + np.sum(np.sum(values, axis=1) ** 2))
+        own, errors = span[rows], residuals[rows]
+        if rows.shape[1] > 2 * k:  # k rows say the same
+            _, errors, own = directions(own, errors)
+        products = np.matmul(own, own.swapaxes(1, 2))
+        parts = np.trace(products, axis1=1, axis2=2)
+        decided_parts += float(np.sum(parts))
+        fourth += float(2.0 * np.sum(products**2) + np.sum(parts**2))
+        if not _all_below(products, _OWN):  # without directions that a block decides alone
+            values, errors, own = directions(own, errors)
+            own, errors = np.where(values[..., None] < _OWN, own, 0.0), np.where(values < _OWN, errors, 0.0)
+            products = np.matmul(own, own.swapaxes(1, 2))
+        gain = np.linalg.solve(np.eye(len(products[0])) - products, products)  # H (1 - H)^-1
+        drawn = (errors / np.maximum(np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True)), _NONE))[..., None]
+        moved += float(np.sum(drawn * np.matmul(gain, drawn)))
+        mean += float(np.sum(np.trace(products, axis1=1, axis2=2)))
+        squares += float(np.sum(products**2) - np.sum(np.matmul(products, gain) ** 2))
+        leverage += own.reshape(-1, k).T @ np.matmul(gain, own).reshape(-1, k)
         noisy = noisy or bool(np.any(noise[rows] > _NONE))
     half_variance = squares + float(np.sum(leverage**2))
     behind = decided_parts**2 * (k + 2) / (k * fourth) if fourth > 0.0 else 0.0
     if not (noisy and mean > 0.0 and half_variance > 0.0):
-        return Scatter(core, float("nan"), 1.0, behind, 0.0)
+        return Scatter(float("nan"), 1.0, behind, 0.0)
     total_freedom, square = mean**2 / half_variance, moved / mean
     chance = float(scipy.special.fdtrc(total_freedom, freedom, square))
-    return Scatter(core, float(np.sqrt(square)), chance, behind, total_freedom)
+    core = core_of_blocks(span, residuals, noise, block) if square > 1.0 and chance < level else None
+    return Scatter(float(np.sqrt(square)), chance, behind, total_freedom, core)
 
 
-def _products(rows: FloatArray) -> FloatArray:
-    return rows.T @ rows
+def _all_below(products: FloatArray, limit: float) -> bool:
+    """Whether all eigenvalues of some symmetric matrices (n, m, m) are below a limit."""
+    try:
+        np.linalg.cholesky(limit * np.eye(products.shape[1]) - products)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+def core_of_blocks(span: FloatArray | Span, residuals: FloatArray, noise: FloatArray, block: IntArray) -> FloatArray:
+    """Return the core of the module docstring, (k, k); arguments as in `scatter`."""
+    k = span.shape[1]
+    core = np.zeros((k, k))
+    for rows in blocks_of_equal_length(block):
+        values, errors, turned = directions(span[rows], residuals[rows])
+        level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
+        alone = values >= _OWN
+        drawn = np.where(alone, 0.0, errors / np.sqrt(np.where(alone, 1.0, 1.0 - values)))
+        pulls = np.matmul(drawn[:, None], turned)[:, 0]
+        by_noise = (turned * np.where(alone, level, 0.0)[..., None]).reshape(-1, k)
+        core += pulls.T @ pulls + by_noise.T @ by_noise
+    return core
 
 
 def blocks_of_equal_length(block: IntArray) -> Iterator[IntArray]:

@@ -87,13 +87,12 @@ class LinearPoint:
         step, second_derivative = self.newton, np.zeros((1, 1)) if curvature is None else curvature
         hessian = np.eye(len(self.triangle)) + second_derivative
         if curvature is not None:
-            try:
-                root = np.linalg.cholesky(hessian)
-                image = scipy.linalg.cho_solve((root, True), self.triangle @ self.newton)
-                step = _solve_triangular(self.triangle, image)
-            except np.linalg.LinAlgError:  # there is no minimum
+            _, image, failed = scipy.linalg.lapack.dposv(hessian, self.triangle @ self.newton)
+            if failed:  # there is no minimum
                 step = np.full(len(step), np.inf)
                 limit = min(limit, float(_BOLD * np.linalg.norm(scale * self.newton)))
+            else:
+                step = _solve_triangular(self.triangle, image)
         if not np.linalg.norm(scale * step) <= limit:
             step = self._minimum_within(hessian, self.projected, limit, scale)
         image = self.triangle @ step

@@ -166,7 +166,7 @@ class MixedModel(ReadOnlyArrays):
             upper = matrix[:, :-1]
             v = scipy.linalg.solve_triangular(upper, matrix[:, -1], check_finite=False)
         else:
-            v = scipy.linalg.cho_solve((upper, False), z.T @ y, check_finite=False)
+            v = scipy.linalg.lapack.dpotrs(upper, z.T @ y)[0]
         left = y - z @ v
         determinant = 2.0 * np.sum(np.log(np.abs(np.diag(upper)))) + self.rows.stands_for @ np.log(variance)
         cost = float(np.sum(left**2) + np.sum(prior * v**2))

@@ -118,7 +118,8 @@ class Statistics(ReadOnlyArrays):
         std: Standard deviations, (n_free,) [m, rad].
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
         effective_parameters: Number of parameters that the data decide, n_eff of the module docstring.
-        poses: Common scatter of the readings of each pose; None if readings are independent.
+        shared_scatter: Scatter of the readings of each pose, where it is larger than that of independent ones beyond
+            chance; else None.
         beyond_linear: Errors beyond the linear model, which enter `half_width` only; None if there are none.
         wider: Further factor on standard deviations and intervals, (n_free,).
     """
@@ -129,7 +130,7 @@ class Statistics(ReadOnlyArrays):
     std: FloatArray
     data_share: FloatArray
     effective_parameters: float
-    poses: Scatter | None = None
+    shared_scatter: Scatter | None = None
     beyond_linear: BeyondLinear | None = None
     wider: FloatArray | float = 1.0
 
@@ -140,11 +141,6 @@ class Statistics(ReadOnlyArrays):
         half = self.wider * self.coverage_factor * np.sqrt((self.std / self.wider) ** 2 + beyond)
         hold(half)
         return half
-
-    @property
-    def shared_scatter(self) -> Scatter | None:
-        """Scatter of poses, where it is larger than that of independent readings beyond chance; else None."""
-        return _scatter_beyond_chance(self.poses)
 
     @property
     def interval_freedom(self) -> float:
@@ -171,10 +167,6 @@ class Statistics(ReadOnlyArrays):
         with np.errstate(divide="ignore", invalid="ignore"):
             unit = self.covariance / self.std / self.std[:, None]
         return np.clip(unit, -1.0, 1.0)
-
-
-def _scatter_beyond_chance(poses: Scatter | None) -> Scatter | None:
-    return poses if poses is not None and poses.ratio > 1.0 and poses.chance < poses.level else None
 
 
 def status(
@@ -300,7 +292,7 @@ def statistics(
         poses, beyond_linear: Attributes of the result.
         by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
     """
-    root, shared = known.root, _scatter_beyond_chance(poses)
+    root, shared = known.root, None if poses is None else poses.core
     by_prior = float(np.sum(prior.times(root) ** 2))
     if shared is None and len(factors.effective) == 1:  # the rows have the rest of the information
         factor = factors.slope * factors.effective[0] ** 2
@@ -310,7 +302,7 @@ def statistics(
     else:
         core = prior_shares(known, prior)  # with a robust loss, J is times the root of the slope in T
         if shared is not None:
-            core += shared.core
+            core += shared
         for part in slices(len(span)) if shared is None else ():
             pulled, number = span[part], groups[part]
             for group, factor in enumerate(factors.effective):

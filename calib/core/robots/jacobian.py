@@ -168,22 +168,16 @@ def _motion(
     return result
 
 
-def motion_twists(robot: Robot, index: IntArray | None = None, *, joints: bool = False) -> FloatArray:
+def motion_twists(robot: Robot, *, joints: bool = False) -> FloatArray:
     """Return twists of all origins per parameter that is no coefficient, and per driven joint, (6 n_joints, k).
 
     Those of a driven joint, the joint's axis at its own origin, come last, with joint terms or with `joints`.
-
-    Args:
-        index: Parameters (n_index,) whose twists are needed; those of others are left 0. All if not given.
     """
     mechanism, n = robot.mechanism, robot.n_origin_parameters
     matrix = np.zeros((6 * mechanism.n_joints, robot.coefficients.start))
-    if index is None or len(index):
-        for name, twist in robot.parametrisation.twists(robot.values[:n]).items():
-            row = 6 * mechanism.origin_names.index(name)
-            matrix[row : row + 6, :n] = twist
-    if index is not None:
-        matrix *= np.isin(np.arange(matrix.shape[1]), index)
+    for name, twist in robot.parametrisation.twists(robot.values[:n]).items():
+        row = 6 * mechanism.origin_names.index(name)
+        matrix[row : row + 6, :n] = twist
     if not (joints or robot.terms):
         return matrix
     by_joint = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]

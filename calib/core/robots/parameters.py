@@ -125,7 +125,7 @@ class OriginComponents:
         whole, own = np.zeros((len(self.nominal), 6, 6)), np.zeros((len(self.nominal), 6, len(self.parameters)))
         whole[:, :3, :3], whole[:, 3:, 3:] = self._axes, np.eye(3)
         for twist, (name, moved) in zip(whole, self._deviations(values).items(), strict=True):
-            if np.any(moved[3:]):
+            if moved[3:].any():
                 twist[:3, :3] = pin.exp3(moved[3:]).T @ twist[:3, :3]
                 twist[3:, 3:] = pin.Jexp3(moved[3:])
             if name in self.inverted:  # (T exp(xi))^-1 = T^-1 exp(-Ad(T) xi)

@@ -70,16 +70,14 @@ def observe(
     *,
     joints: bool = False,
     derivatives: bool = True,
-    index: IntArray | None = None,
 ) -> dict[str, Observed]:
     """Compare readings with those that the robot predicts.
 
     Args:
         readings: Readings of each instrument, by name; visits are indices into the configurations.
         joints: Whether to include derivatives by the actuated joints.
-        index: Parameters (k,) of the derivatives, if not all; those by others are left 0.
     """
-    mechanism, twists = robot.mechanism, motion_twists(robot, index, joints=joints)
+    mechanism, twists = robot.mechanism, motion_twists(robot, joints=joints)
     width = twists.shape[1] if derivatives else 0
     own = [instrument for instrument in robot.instruments if instrument.name in readings]
     works = [_Work(robot, instrument, readings[instrument.name], width) for instrument in own]

@@ -40,7 +40,7 @@ class Unknowns(ReadOnlyArrays):
 
     def has(self, others: Unknowns) -> bool:
         """Return whether these include all of `others`."""
-        return others.index is self.index or bool(np.all(np.isin(others.index, self.index)))
+        return others.index is self.index or set(others.index.tolist()) <= set(self.index.tolist())
 
     @staticmethod
     def from_robot(robot: Robot, free: BoolArray | None = None) -> Unknowns:

@@ -1,12 +1,13 @@
 """Errors that rows of one block share, against dense algebra, refits and many draws."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 from scipy.linalg import inv, sqrtm
 
-from calib.core.numerics.clusters import scatter, shifts_without_block
+from calib.core.numerics.clusters import core_of_blocks, scatter, shifts_without_block
 from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
 
@@ -48,8 +49,9 @@ def test_core_and_ratio_are_those_of_dense_algebra(lengths):
     jacobian, root, _, block = problem(1, lengths)
     residuals = np.random.default_rng(2).standard_normal(len(block))
     core, square, mean = by_dense_algebra(jacobian, root, residuals, block)
-    spread = scatter(jacobian @ root, residuals, np.full(len(block), 0.5), block, 50.0)
+    spread = scatter(jacobian @ root, residuals, np.full(len(block), 0.5), block, 50.0, level=1.0)
     np.testing.assert_allclose(spread.core, core, rtol=1e-9, atol=1e-12)
+    assert scatter(jacobian @ root, residuals, np.full(len(block), 0.5), block, 50.0, level=0.0).core is None
     assert spread.ratio == pytest.approx(np.sqrt(square / mean) / 0.5, rel=1e-9)
 
 
@@ -99,7 +101,8 @@ def draws(seed, lengths, shared, n=400):
         pulled = jacobian[:, has_prior] @ rng.standard_normal(int(has_prior.sum()))  # what priors say is true
         residuals, _ = fitted(jacobian, root, has_prior, errors + pulled)
         noise = np.full(len(block), np.sqrt(1.0 + shared**2))
-        results.append(scatter(jacobian @ root, residuals, noise, block, 1e6))
+        core = core_of_blocks(jacobian @ root, residuals, noise, block)
+        results.append(replace(scatter(jacobian @ root, residuals, noise, block, 1e6), core=core))
         solutions.append(root.T @ jacobian.T @ errors)
     return results, np.cov(np.array(solutions).T, bias=True)
 
@@ -133,18 +136,35 @@ def test_a_block_that_decides_all_by_itself_says_nothing_and_keeps_its_noise():
     spread = scatter(jacobian @ root, residuals, np.full(60, 0.5), block, 53.0)
     assert np.isnan(spread.ratio)
     assert spread.chance == 1.0
-    np.testing.assert_allclose(spread.core, 0.25 * np.eye(N_FREE), atol=1e-9)
+    core = core_of_blocks(jacobian @ root, residuals, np.full(60, 0.5), block)
+    np.testing.assert_allclose(core, 0.25 * np.eye(N_FREE), atol=1e-9)
 
 
 def test_rows_of_no_block_are_left_aside():
     jacobian, root, _, block = problem(13, [3] * 20)
     residuals = np.random.default_rng(14).standard_normal(60)
     some = np.where(block < 15, block, -1)
-    spread = scatter(jacobian @ root, residuals, np.ones(60), some, 50.0)
     rows = some >= 0
-    np.testing.assert_allclose(
-        spread.core, by_dense_algebra(jacobian[rows], root, residuals[rows], some[rows])[0], rtol=1e-9
+    core, square, mean = by_dense_algebra(jacobian[rows], root, residuals[rows], some[rows])
+    np.testing.assert_allclose(core_of_blocks(jacobian @ root, residuals, np.ones(60), some), core, rtol=1e-9)
+    assert scatter(jacobian @ root, residuals, np.ones(60), some, 50.0).ratio == pytest.approx(np.sqrt(square / mean))
+
+
+@pytest.mark.parametrize("length", [3, 30])
+def test_a_direction_that_one_block_decides_alone_counts_nowhere_else(length):
+    """As if its column and that direction of the rows were not there."""
+    jacobian, _, _, block = problem(15, [length] * 8, priors=0)
+    own, residuals = np.flatnonzero(block == 2)[0], np.random.default_rng(16).standard_normal(8 * length)
+    jacobian[own] = residuals[own] = 0.0
+    alone = np.zeros((len(block), 1))
+    alone[own] = 1.0
+    with_column = np.hstack([np.linalg.qr(jacobian)[0], alone])
+    noise, moved = np.ones(len(block)), residuals + 7.0 * alone[:, 0]
+    expected, found = (
+        scatter(span, errors, noise, block, 50.0)
+        for span, errors in ((with_column[:, :-1], residuals), (with_column, moved))
     )
+    assert (found.ratio, found.chance) == pytest.approx((expected.ratio, expected.chance), rel=1e-9)
 
 
 def test_larger_blocks_are_judged_beside_the_poses_within():

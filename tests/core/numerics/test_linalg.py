@@ -154,3 +154,16 @@ def test_no_file_asks_numpy_or_scipy_for_singular_values_or_eigenvalues():
 )
 def test_a_bare_call_is_found(line):
     assert list(_bare_calls(line)) == [1]
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (60, 2, 2), (3, 4, 2, 2)])
+def test_two_by_two_matrices_are_turned_to_their_axes(shape):
+    rng = np.random.default_rng(3)
+    matrices = rng.standard_normal(shape) * 10.0 ** rng.integers(-9, 9, (*shape[:-2], 1, 1))
+    matrices = matrices + matrices.swapaxes(-1, -2)
+    matrices.reshape(-1, 2, 2)[0] = 3.0 * np.eye(2)
+    values, vectors = linalg.eigh(matrices)
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(matrices), rtol=1e-12)
+    np.testing.assert_allclose(vectors.swapaxes(-1, -2) @ vectors, np.broadcast_to(np.eye(2), shape), atol=1e-15)
+    back = vectors * values[..., None, :] @ vectors.swapaxes(-1, -2)
+    np.testing.assert_allclose(back, matrices, atol=1e-15 * np.max(np.abs(matrices)))

@@ -40,7 +40,7 @@ _MEDIAN = 0.37  # efficiency of the median of absolute values as a scale, for no
 _SMALLEST_SCALE = 1e-8  # below ten nanometres a residual is rounding [SI]
 _NO_NOISE = (
     "the readings agree with the fitted robot as exactly as computed ones: they have no noise by which --loss {loss}"
-    " could tell good ones from bad ones; fit with --loss none"
+    " could tell good ones from bad ones; fit with --loss none, and without --exclude-outliers, which uses --loss tukey"
 )
 _TOO_FEW_LEFT = (
     "the robust loss has rejected so many readings that the rest does not determine the parameters: too many"

@@ -98,13 +98,15 @@ def scatter(
         if rows.shape[1] > 2 * k:  # k rows say the same
             _, errors, own = directions(own, errors)
         products = np.matmul(own, own.swapaxes(1, 2))
-        parts = np.trace(products, axis1=1, axis2=2)
-        decided_parts += float(np.sum(parts))
-        fourth += float(2.0 * np.sum(products**2) + np.sum(parts**2))
-        if not _all_below(products, _OWN):  # without directions that a block decides alone
+        if _all_below(products, _OWN):
+            parts, of_squares = np.trace(products, axis1=1, axis2=2), float(np.sum(products**2))
+        else:  # without directions that a block decides alone; w of a reading that a robust loss rejects may exceed 1
             values, errors, own = directions(own, errors)
+            parts, of_squares = np.sum(values, axis=1), float(np.sum(values**2))
             own, errors = np.where(values[..., None] < _OWN, own, 0.0), np.where(values < _OWN, errors, 0.0)
             products = np.matmul(own, own.swapaxes(1, 2))
+        decided_parts += float(np.sum(parts))
+        fourth += 2.0 * of_squares + float(np.sum(parts**2))
         gain = np.linalg.solve(np.eye(len(products[0])) - products, products)  # H (1 - H)^-1
         drawn = (errors / np.maximum(np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True)), _NONE))[..., None]
         moved += float(np.sum(drawn * np.matmul(gain, drawn)))

@@ -167,6 +167,20 @@ def test_a_direction_that_one_block_decides_alone_counts_nowhere_else(length):
     assert (found.ratio, found.chance) == pytest.approx((expected.ratio, expected.chance), rel=1e-9)
 
 
+@pytest.mark.parametrize("length", [3, 30])
+def test_a_reading_that_a_robust_loss_rejects_decides_no_more_than_all_of_a_direction(length):
+    """Rows are those without weights, so that the part that a rejected reading decides of a direction exceeds 1."""
+    jacobian, root, _, block = problem(17, [length] * 8)
+    span, residuals = jacobian @ root, np.random.default_rng(18).standard_normal(8 * length)
+    rejected = np.flatnonzero(block == 2)[0]
+    whole, more = (np.hstack([span, np.zeros((len(span), 1))]) for _ in range(2))
+    whole[block == 2] = more[block == 2] = 0.0
+    whole[rejected, -1], more[rejected, -1] = 1.0, 1e3
+    expected, found = (scatter(rows, residuals, np.ones(len(span)), block, 50.0) for rows in (whole, more))
+    assert found.freedom == pytest.approx(expected.freedom, rel=1e-9)
+    assert (found.ratio, found.chance) == pytest.approx((expected.ratio, expected.chance), rel=1e-9)
+
+
 def test_larger_blocks_are_judged_beside_the_poses_within():
     """Readings of a pose share an error, and nothing more: then boxes of poses scatter no more than their poses."""
     jacobian, root, has_prior, pose = problem(15, [4] * 80)

@@ -46,7 +46,7 @@ def read_sdf(path: str, source: bytes, *_: object) -> tuple[bytes, ForeignRobot]
     try:
         root = ElementTree.fromstring(source)
     except ElementTree.ParseError as error:
-        raise UrdfError(f"{path}: not valid XML ({error})") from None
+        raise UrdfError(f"{path}: not valid XML ({error}); give an SDF file, or a URDF") from None
     model = next(root.iter("model"), None)
     if model is None or model.find("link") is None:
         what = "it includes others" if root.find(".//include") is not None else "it has no model with links"

@@ -1,6 +1,6 @@
 """Shapes in a robot description: around the robot, on it, and the line of sight to it.
 
-This module has only the entries. `calib.motion` makes shapes of them, and checks which poses are free.
+This module has only the entries. Others of `calib.motion` make shapes of them, and check which poses are free.
 """
 
 from __future__ import annotations

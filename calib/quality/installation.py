@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import os
 import platform
 import sys
 from collections.abc import Iterator
@@ -93,9 +94,9 @@ def _digest(path: Path) -> str:
 
 
 def _linear_algebra() -> Iterator[Check]:
-    own = [str(distribution(name).locate_file(name)) for name in ("numpy", "scipy")]  # .../numpy, .../numpy.libs
+    own = [os.path.realpath(str(distribution(name).locate_file(name))) for name in ("numpy", "scipy")]  # or .libs
     for entry in threadpoolctl.threadpool_info():
-        if "filepath" in entry and not any(str(entry["filepath"]).startswith(package) for package in own):
+        if "filepath" in entry and not os.path.realpath(entry["filepath"]).startswith(tuple(own)):
             continue  # a library of another package, such as OpenCV, which computes nothing here
         oldest = _OLDEST_BLAS.get(str(entry["internal_api"]))
         if oldest is not None:

@@ -95,7 +95,7 @@ def monte_carlo(
     scalars, sizes = normal[:, : len(inputs)] * inputs, np.exp(normal[:, len(inputs) :] @ np.linalg.cholesky(logs).T)
     values, vectors = linalg.eigh(linear.noise)
     span = linear.fit.weighted_rows.jacobian @ linear.fit.root
-    spread = linalg.pinv(span, rcond=_SEEN).T @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    spread = linalg.pinv(span, rcond=_SEEN).T @ (vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T)
     prior, squares = unknowns.prior, []
     for k, (drawn, size) in enumerate(zip(scalars, sizes, strict=True)):
         readings = linear.systematic @ drawn[:-2] + spread @ rng.standard_normal(len(values))

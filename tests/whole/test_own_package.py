@@ -184,8 +184,14 @@ def test_a_robot_file_of_its_own_is_read_where_a_urdf_is(tmp_path, run_calib):
     assert run.code == 0, run.err
     assert "states no limits of joints" in run.out + run.err
     chain.write_text("turn 0 0\n")
-    with pytest.raises(calib.UrdfError, match=r"arm\.chain, line 1: expected NAME x y z ax ay az"):
-        calib.load(chain)
+    for wrong, message in (
+        ("turn 0 0\n", r", line 1: expected NAME"),
+        ("\xff\n", ", line 1: expected"),
+        ("", ": is empty"),
+    ):
+        chain.write_text(wrong, encoding="latin-1")
+        with pytest.raises(calib.UrdfError, match=rf"arm\.chain{message}"):
+            calib.load(chain)
 
 
 def _entry(**changes):

@@ -40,11 +40,16 @@ def eigh(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return eigenvalues, ascending, (..., n) and eigenvectors in columns, from the lower triangles of (..., n, n)."""
     if matrix.shape[-2:] == (2, 2):  # one rotation; LAPACK takes ten times as long
         (first, _), (beside, last) = np.moveaxis(matrix, (-2, -1), (0, 1))
-        middle, half = (first + last) / 2, (first - last) / 2
+        middle, half = first / 2 + last / 2, first / 2 - last / 2
         radius, turn = np.hypot(half, beside), np.arctan2(beside, half) / 2
+        outer = middle + np.copysign(radius, middle)
+        divisor = np.where(outer == 0.0, 1.0, outer)
+        inner = np.where(np.abs(first) > np.abs(last), first / divisor * last, last / divisor * first)
+        inner = inner - beside / divisor * beside  # the determinant over the outer value, without loss of small ones
         c, s = np.cos(turn), np.sin(turn)
         vectors = np.moveaxis(np.array([[-s, c], [c, s]]), (0, 1), (-2, -1))
-        return np.stack([middle - radius, middle + radius], axis=-1), vectors
+        values = np.where(middle < 0.0, [outer, inner], [inner, outer])
+        return np.moveaxis(values, 0, -1), vectors
     return _first_or_second(np.linalg.eigh, lambda part: scipy.linalg.eigh(part, **_QR_ITERATIONS), matrix)
 
 

@@ -68,6 +68,25 @@ def test_what_numpy_can_do_is_its_result_to_the_last_bit():
         assert all(np.array_equal(one, other) for one, other in zip(ours, numpys, strict=True))
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e-150, 1e150])
+@pytest.mark.parametrize(
+    ("a", "b", "d", "low", "high"),
+    [
+        (1.0, 0.0, 1e-20, 1e-20, 1.0),
+        (-1e-20, 0.0, -1.0, -1.0, -1e-20),
+        (1.0, 2.0**-30, 2.0**-60, 0.0, 1.0),
+        (3.0, 3.0, 3.0, 0.0, 6.0),
+        (-4.0, 1.0, 0.0, -2.0 - 5.0**0.5, 5.0**0.5 - 2.0),
+        (0.0, 0.0, 0.0, 0.0, 0.0),
+    ],
+)
+def test_small_eigenvalues_of_two_rows_are_not_lost(a, b, d, low, high, scale):
+    matrix = scale * np.array([[a, b], [b, d]])
+    values, vectors = linalg.eigh(matrix)
+    assert values == pytest.approx([scale * low, scale * high], rel=1e-14, abs=0.0)
+    assert np.max(np.abs((vectors * values) @ vectors.T - matrix)) <= 1e-14 * scale
+
+
 def test_the_second_method_gives_what_the_first_would(numpy_fails):
     matrix, expected = _clustered()
     matrix, expected = matrix + np.eye(60), expected + 1.0  # the first entry is above 1

@@ -62,7 +62,8 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     held, seen = (_fewest(directions[:, which]) for which in (shares > _HELD, shares <= _HELD))
     directions, n_held = np.hstack([held, seen]), held.shape[1]
     counts = np.where(np.arange(directions.shape[1]) < n_held, 0.5, 1.0)  # j, i is the same as i, j
-    squares, mean, result = np.zeros(np.sum(own)), np.zeros(np.sum(own)), np.zeros(len(root))
+    result = np.zeros(len(root))
+    squares, mean = np.zeros_like(result[own]), np.zeros_like(result[own])
     if not n_held:
         return result
     problem, final, times = _problem_at_some_poses(problem, final)

@@ -24,9 +24,11 @@ from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.solved_fit import SolvedFit
 from calib.core.instruments.kind import Instrument
 from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.numerics.clusters import directions
 from calib.core.numerics.losses import StudentisedErrors
 from calib.core.rows.rows import Layout, Rows
 
+_ALL = 1.0 - 1e-9  # if outliers decide this part of a direction, nothing else determines it
 _LEAST_FACTOR = 1e-3  # least found noise over stated noise of a group, as part of this ratio for all groups
 
 
@@ -81,13 +83,16 @@ def bounded_weights(fit: SolvedFit) -> FloatArray:
 
     Outliers pull a fit to themselves, so their errors are those by the linear fit without them.
     """
-    errors, is_outlier = studentise_errors(fit), np.zeros(len(fit.weights), dtype=bool)
+    errors, is_outlier, used = studentise_errors(fit), np.zeros(len(fit.weights), dtype=bool), fit.weighted_rows
     while not np.all(is_outlier[errors.outliers]):
         is_outlier[errors.outliers] = True
-        weights = np.where(is_outlier, 0.0, fit.weights)
-        linear = fit.rows.with_weights(weights)
-        rows = replace(fit.rows, residuals=fit.rows.residuals + fit.rows.jacobian @ linear.step())
-        errors = _studentise(fit, rows, linear.posterior_information.root, weights)
+        out = np.flatnonzero(is_outlier[used.layout.reading])
+        decided, own, turned = directions(used.jacobian[out] @ fit.root, used.residuals[out])
+        gain = np.where(decided < _ALL, 1.0 / np.maximum(1.0 - decided, 1.0 - _ALL), 0.0)
+        step = fit.root @ (turned.T @ (gain * own))
+        root = fit.root @ np.linalg.cholesky(np.eye(fit.root.shape[1]) + turned.T @ (gain[:, None] * turned))
+        rows = replace(fit.rows, residuals=fit.rows.residuals + fit.rows.jacobian @ step)
+        errors = _studentise(fit, rows, root, np.where(is_outlier, 0.0, fit.weights))
     return np.minimum(fit.weights, errors.bounded_weights)
 
 

@@ -43,6 +43,7 @@ from calib.core.numerics.chances import UNLIKELY
 from calib.core.numerics.tall import Span
 
 _OWN = 0.99  # if a block decides this part of a direction, the other blocks cannot predict it
+_FEW = 30  # in longer blocks, eigenvectors take less time than products of the rows
 _ROWS_AT_ONCE = 30_000
 _NONE = 1e-150  # noise of data that were computed, not measured
 
@@ -94,21 +95,21 @@ def scatter(
     leverage = np.zeros((k, k))
     moved = mean = squares = decided_parts = fourth = 0.0
     for rows in blocks_of_equal_length(block):
-        own, errors = span[rows], residuals[rows]
-        if rows.shape[1] > 2 * k:  # k rows say the same
-            _, errors, own = directions(own, errors)
-        products = np.matmul(own, own.swapaxes(1, 2))
-        if _all_below(products, _OWN):
+        own, errors, size = span[rows], residuals[rows], np.sqrt(np.mean(noise[rows] ** 2, axis=1))
+        products = np.matmul(own, own.swapaxes(1, 2)) if rows.shape[1] <= _FEW else None
+        if products is not None and _all_below(products, _OWN):
             parts, of_squares = np.trace(products, axis1=1, axis2=2), float(np.sum(products**2))
-        else:  # without directions that a block decides alone; w of a reading that a robust loss rejects may exceed 1
+        else:  # by directions, each a block; w of a reading that a robust loss rejects may exceed 1 in the products
             values, errors, own = directions(own, errors)
-            parts, of_squares = np.sum(values, axis=1), float(np.sum(values**2))
-            own, errors = np.where(values[..., None] < _OWN, own, 0.0), np.where(values < _OWN, errors, 0.0)
+            parts, of_squares, size = np.sum(values, axis=1), float(np.sum(values**2)), size.repeat(values.shape[1])
+            kept = values.reshape(-1, 1) < _OWN  # not those that a block decides alone
+            own = np.where(kept[..., None], own.reshape(-1, 1, k), 0.0)
+            errors = np.where(kept, errors.reshape(-1, 1), 0.0)
             products = np.matmul(own, own.swapaxes(1, 2))
         decided_parts += float(np.sum(parts))
         fourth += 2.0 * of_squares + float(np.sum(parts**2))
         gain = np.linalg.solve(np.eye(len(products[0])) - products, products)  # H (1 - H)^-1
-        drawn = (errors / np.maximum(np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True)), _NONE))[..., None]
+        drawn = (errors / np.maximum(size, _NONE)[:, None])[..., None]
         moved += float(np.sum(drawn * np.matmul(gain, drawn)))
         mean += float(np.sum(np.trace(products, axis1=1, axis2=2)))
         squares += float(np.sum(products**2) - np.sum(np.matmul(products, gain) ** 2))

@@ -40,7 +40,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.instruments.kind import Readings
-from calib.core.numerics.observability import information
+from calib.core.numerics.observability import posterior_information
 from calib.core.numerics.statistics import prior_directions
 from calib.core.rows.rows import Rows
 
@@ -68,7 +68,10 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
         return result
     problem, final, times = _problem_at_some_poses(problem, final)
     jacobian = rows.jacobian if times == 1.0 else np.sqrt(times) * problem.rows(final, groups).jacobian
-    back, columns = information(jacobian, rows.prior.rows).covariance[own] @ jacobian.T, problem.unknowns.select(own)
+    back, columns = (
+        posterior_information(jacobian, rows.prior).covariance[own] @ jacobian.T,
+        problem.unknowns.select(own),
+    )
     for i in range(n_held):
         for step in (_STEP, -_STEP):
             moved = problem.unknowns.robot_at(final.robot, rows.deviations + step * directions[:, i])

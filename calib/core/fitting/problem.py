@@ -341,7 +341,7 @@ class _SolverRows:
     def _values(self, w: FloatArray, evaluation: Evaluation | None) -> FloatArray:
         layout = self._problem.whitening.layout
         if evaluation is None:
-            return np.full(layout.n_rows + len(self._prior.rows), np.nan)
+            return np.full(layout.n_rows + np.count_nonzero(self._prior.has), np.nan)
         residuals = self._problem.residuals(evaluation, self._groups)
         if self._weights is not None:
             residuals *= np.sqrt(self._weights)[layout.reading]

@@ -29,7 +29,7 @@ from calib.core.fitting.starts import Starts
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.least_squares import LeastSquaresSolution
 from calib.core.numerics.losses import Loss, median_length, robust_factors, scale_of, weights_of
-from calib.core.numerics.observability import information
+from calib.core.numerics.observability import posterior_information
 from calib.core.numerics.statistics import Factors, effective_parameters
 from calib.core.rows.rows import Rows
 
@@ -116,7 +116,7 @@ def _solve_robust(solved: RobustSolution, loss: Loss) -> RobustSolution:
         groups, scale = groups * scale, 1.0
     at, solution = problem.solve(at, groups, weights=weights)
     final = problem.rows(at, groups)
-    known = information(np.sqrt(np.mean(weights)) * final.factor[:, :-1], final.prior.rows)
+    known = posterior_information(np.sqrt(np.mean(weights)) * final.factor[:, :-1], final.prior)
     n_effective = effective_parameters(known, final.prior)
     pooled = robust_factors(loss, final.distances(), layout.width, scale, n_effective)
     n_rows = layout.counts
@@ -182,13 +182,12 @@ def _linear_solution(
     weights: FloatArray = np.ones(layout.n_readings)
     step: FloatArray = np.zeros(rows.jacobian.shape[1])
     scale, smallest = fixed_scale or 0.0, _SMALLEST_SCALE / max(group.typical for group in layout.groups)
-    priors = rows.prior.rows
     for _ in range(_LINEAR_ROUNDS):
         residuals = rows.residuals + rows.jacobian @ step
         distances = np.sqrt(np.bincount(layout.reading, residuals**2, layout.n_readings))
         if fixed_scale is None:
             assumed = max(scale_of(distances, layout.width, 0.0), smallest) if found_everywhere else 1.0
-            known = information(rows.factor[:, :-1] / assumed, priors)
+            known = posterior_information(rows.factor[:, :-1] / assumed, rows.prior)
             n_effective = effective_parameters(known, rows.prior)
             scale = max(scale_of(distances, layout.width, n_effective), smallest)
         now = weights_of(loss, distances / scale, layout.width)

@@ -52,6 +52,7 @@ SMALLEST_EFFECT = 0.1
 """An effect counts as a finding if its root mean square is more than this part of the noise."""
 _NUMBERS_AT_ONCE = 1 << 24  # largest size of the array of what findings explain
 _VISITS_AT_ONCE = 512  # their factors stay in the processor's cache
+_SUMS_AT_ONCE = 1 << 22  # largest size of the array of their sums
 _ALIKE = 9.2  # times the noise squared: chance makes a sine and cosine explain more in 1 % of cases
 
 
@@ -156,7 +157,9 @@ def _moments(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_Moments
     ends = np.cumsum([base.shape[1] for base in bases.values()])[:-1]
     squares: list[FloatArray] = [np.zeros(1)] * len(some)
     products: list[FloatArray] = [np.zeros(1)] * len(some)
-    for rows, firsts, visits in _visits_together(some[0].visit) if some else ():
+    numbers = sum(base.shape[1] for base in bases.values()) * (1 + sum(other.shape[1] for other in known))
+    at_once = min(max(_SUMS_AT_ONCE // max(numbers, 1), 1), _VISITS_AT_ONCE)
+    for rows, firsts, visits in _visits_together(some[0].visit, at_once) if some else ():
         own = [base[rows] for base in bases.values()]
         others = np.hstack([residuals.rows.residuals[rows, None], *(other[rows] for other in known)])
         further = dict(zip(bases, np.split(_sums_of_visits(np.hstack(own), others, firsts), ends, axis=1), strict=True))
@@ -185,7 +188,7 @@ def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:
     return (sums.reshape(n, -1).T @ both).reshape(b, b, f, f, m).transpose(4, 0, 2, 1, 3).reshape(m, b * f, b * f)
 
 
-def _visits_together(visit: IntArray) -> Iterator[tuple[IntArray | slice, IntArray | int, IntArray]]:
+def _visits_together(visit: IntArray, at_once: int) -> Iterator[tuple[IntArray | slice, IntArray | int, IntArray]]:
     """Yield rows of some visits, those of a visit together; where each begins among them, and the visits.
 
     Where all visits have equally many rows, this number takes the place of where they begin.
@@ -193,9 +196,9 @@ def _visits_together(visit: IntArray) -> Iterator[tuple[IntArray | slice, IntArr
     order: IntArray | None = None if np.all(visit[1:] >= visit[:-1]) else np.argsort(visit, kind="stable")
     arranged = visit if order is None else visit[order]
     firsts = np.flatnonzero(np.append(True, arranged[1:] != arranged[:-1]))
-    for k in range(0, len(firsts), _VISITS_AT_ONCE):
-        some = firsts[k : k + _VISITS_AT_ONCE]
-        last = firsts[k + _VISITS_AT_ONCE] if k + _VISITS_AT_ONCE < len(firsts) else len(visit)
+    for k in range(0, len(firsts), at_once):
+        some = firsts[k : k + at_once]
+        last = firsts[k + at_once] if k + at_once < len(firsts) else len(visit)
         rows, lengths = slice(int(some[0]), int(last)), np.diff(some, append=last)
         firsts_or_length = int(lengths[0]) if np.all(lengths == lengths[0]) else some - some[0]
         yield rows if order is None else order[rows], firsts_or_length, arranged[some]

@@ -21,7 +21,8 @@ from calib.core.judging.rules_noise import impossible
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.identifiability import NO_EFFECT, extend_reduced, unit_columns
-from calib.core.numerics.observability import information
+from calib.core.numerics.observability import posterior_information
+from calib.core.numerics.prior import Prior
 from calib.core.numerics.tall import slices
 from calib.core.robots.joint_errors import columns_of_terms, driven_by
 from calib.core.robots.terms.one_coefficient import Gain
@@ -181,7 +182,7 @@ def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int
     """
     linear, inside, n = findings.linear(fit), ~fit.unknowns.placement, len(fit.unknowns)
     rows, tried = linear.rows, np.hstack([columns, linear.rows.residuals[:, None]])
-    known = information(rows.factor[:n, :-1] / linear.factor, np.eye(n)[inside])
+    known = posterior_information(rows.factor[:n, :-1] / linear.factor, Prior(inside))
     left = np.zeros((n, tried.shape[1]))
     left[inside, -1] = rows.deviations[inside]
     step = -known.root @ (known.root.T @ (rows.jacobian.T @ tried / linear.factor**2 + left))

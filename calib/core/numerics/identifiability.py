@@ -29,7 +29,7 @@ from functools import cache
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import FloatArray, ReadOnlyArrays, hold
 from calib.core.numerics import linalg
 
 _AT_ONCE = 1 << 14  # rows of one factorisation
@@ -137,8 +137,12 @@ def extend_reduced(factor: FloatArray, rows: FloatArray, right: FloatArray | Non
 
 
 def factor_products(products: FloatArray) -> FloatArray | None:
-    """Return the triangular factor R with R^T R = products, (n, n); None where it would lose too many digits."""
-    upper, failed = scipy.linalg.lapack.dpotrf(products.T)  # LAPACK's order: not copied twice
+    """Return the triangular factor R with R^T R = products, (n, n), written over them.
+
+    It is None where it would lose too many digits.
+    """
+    upper, failed = scipy.linalg.lapack.dpotrf(products.T, overwrite_a=1)  # LAPACK's order: not copied
+    hold(products, upper)  # of which `upper` is a view
     return None if failed or scipy.linalg.lapack.dtrcon(upper)[0] < _EXACT else np.asarray(upper)
 
 

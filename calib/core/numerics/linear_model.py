@@ -19,7 +19,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics.identifiability import reduce_rows
-from calib.core.numerics.observability import Information, information
+from calib.core.numerics.observability import Information, posterior_information
 from calib.core.numerics.prior import Prior
 from calib.core.numerics.tall import Span
 
@@ -71,7 +71,7 @@ class LinearModel:
     @cached_property
     def posterior_information(self) -> Information:
         """Information of these rows and the priors."""
-        return information(self.factor[: self.jacobian.shape[1], :-1], self.prior.rows)
+        return posterior_information(self.factor[: self.jacobian.shape[1], :-1], self.prior)
 
     @cached_property
     def span(self) -> Span:
@@ -85,7 +85,7 @@ class LinearModel:
     def transposed_product(self, column: FloatArray) -> FloatArray:
         """Return the transpose of J above P, times a column (n_rows + n_priors,), (n_free,)."""
         n_rows = len(self.jacobian)
-        return np.asarray(self.jacobian.T @ column[:n_rows] + self.prior.rows.T @ column[n_rows:])
+        return self.jacobian.T @ column[:n_rows] + self.prior.transposed_product(column[n_rows:])
 
     def step(self, residuals: FloatArray | None = None) -> FloatArray:
         """Return the step d to the minimum, (n_free,), with other residuals (n_rows,) if given."""

@@ -283,10 +283,11 @@ class SolvedModel(ReadOnlyArrays):
         span = scipy.linalg.blas.dtrmm(1.0, self._root, self._spread, side=1, trans_a=1)  # V^-1/2 T
         mixed = members @ (shares @ span**2).T
         weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
-        of_columns = np.array([(rows.T @ rows).ravel() for rows in weighed]).reshape(len(shares), -1)
-        noise = 0.5 * (
-            (shares * (self.model.rows.stands_for - 2.0 * self._leverage)) @ shares.T + of_columns @ of_columns.T
+        of_columns = [rows.T @ rows for rows in weighed]
+        both = np.array([[np.vdot(one, other) for other in of_columns] for one in of_columns]).reshape(
+            2 * (len(shares),)
         )
+        noise = 0.5 * ((shares * (self.model.rows.stands_for - 2.0 * self._leverage)) @ shares.T + both)
         return np.block([[families, mixed], [mixed.T, noise]])
 
     @property

@@ -48,6 +48,7 @@ from calib.core.numerics.identifiability import (
     reduce_rows,
     square_of_triangle,
 )
+from calib.core.numerics.prior import Prior
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 OUTSIDE = 1e-6
@@ -160,10 +161,22 @@ def information(rows: FloatArray, priors: FloatArray | None = None) -> Informati
         rows: Whitened, of scaled parameters, (..., n_parameters); leading axes are flattened.
         priors: P, (n_priors, n_parameters), of `calib.core.numerics.prior`; none if not given.
     """
-    rows, above = rows.reshape(-1, rows.shape[-1]), priors is not None and len(priors) > 0
-    factor = rows if above and len(rows) <= rows.shape[1] else reduce_rows(rows)
-    if priors is not None and above:
-        quick = factor_products(factor.T @ factor + priors.T @ priors) if rows.shape[1] >= MANY_COLUMNS else None
-        factor = reduce_rows(np.vstack([factor, priors])) if quick is None else quick
+    rows = rows.reshape(-1, rows.shape[-1])
+    factor = reduce_rows(rows if priors is None or not len(priors) else np.vstack([_few_rows(rows), priors]))
     hold(factor)
     return Information(factor)
+
+
+def posterior_information(rows: FloatArray, prior: Prior) -> Information:
+    """Return the information of whitened rows (n_rows, n_parameters) and of a prior."""
+    if rows.shape[1] >= MANY_COLUMNS and np.any(prior.has):
+        few = _few_rows(rows)
+        quick = factor_products(prior.add_to(few.T @ few))
+        if quick is not None:
+            return Information(quick)
+    return information(rows, prior.rows)
+
+
+def _few_rows(rows: FloatArray) -> FloatArray:
+    """Rows with the same products, at most as many as columns."""
+    return rows if len(rows) <= rows.shape[1] else reduce_rows(rows)

@@ -61,6 +61,14 @@ class Prior(ReadOnlyArrays):
             return matrix[self.has]
         return np.concatenate([matrix[self._own_prior_parameters], self._whitening @ matrix[self.together]])
 
+    def transposed_product(self, column: FloatArray) -> FloatArray:
+        """Return P^T times a column (n_priors,), (n,)."""
+        own, result = self._own_prior_parameters, np.zeros(len(self.has))
+        result[own] = column[: len(own)]
+        if len(self.together):
+            result[self.together] = self._whitening.T @ column[len(own) :]
+        return result
+
     @cached_property
     def rows(self) -> FloatArray:
         """P, (n_priors, n)."""

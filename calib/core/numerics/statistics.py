@@ -298,7 +298,10 @@ def statistics(
         factor = factors.slope * factors.effective[0] ** 2
         scaled_covariance = known.covariance
         held = prior.times(scaled_covariance)
-        scaled_covariance = factor * scaled_covariance + (1.0 - factor) * (held.T @ held)
+        by_priors = held.T @ held
+        scaled_covariance *= factor
+        by_priors *= 1.0 - factor
+        scaled_covariance += by_priors
     else:
         core = prior_shares(known, prior)  # with a robust loss, J is times the root of the slope in T
         if shared is not None:
@@ -312,8 +315,10 @@ def statistics(
     if by_sizes is not None:
         scaled_covariance = scaled_covariance + by_sizes
     scaled_covariance = (scaled_covariance + scaled_covariance.T) / 2  # symmetric to the last digit
-    covariance = np.multiply.outer(scales, scales) * scaled_covariance
+    covariance = np.multiply.outer(scales, scales)
+    covariance *= scaled_covariance
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(prior.has, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
     n_effective = root.shape[1] - by_prior
+    hold(covariance)
     return Statistics(factors, factors.total_freedom, covariance, std, decided, n_effective, poses, beyond_linear)

@@ -344,9 +344,10 @@ class ParameterUncertainty(ReadOnlyArrays):
         index = np.array([place[name] for name in self.lasting_names(robot)], dtype=np.intp)
         configurations = whole.assemble(q, near, context=context)
         linear = linearise(whole, configurations, turns=turns, joints=self.joint_error > 0.0)
-        jacobian = linear.jacobian[..., index]
+        jacobian = np.take(linear.jacobian, index, axis=-1)
         if linear.joint_derivative is not None:
             jacobian = np.concatenate([jacobian, linear.joint_derivative * whole.mechanism.joint_scale], axis=-1)
+        hold(jacobian)
         return UncertaintyJacobian(whole, configurations, linear.positions, jacobian)
 
     def _n_errors(self, robot: Robot) -> int:

@@ -121,6 +121,7 @@ class _TermModel:
         self._solved_model = likeliest_sizes(MixedModel.from_rows(self._rows))
         self._smallest_logs = least_sizes(self._solved_model.model)  # as good as zero
         self._solved = {self._requested_kinds: self._solved_model}
+        self._left_out = dict[frozenset[str], FloatArray]()
 
     @cached_property
     def _blocks(self) -> IntArray:
@@ -145,7 +146,7 @@ class _TermModel:
             solved = likeliest_sizes(
                 full.model, np.where(np.isneginf(near), full.logs, near), self._absent(kinds), _ROUGH
             )
-            self._solved[kinds] = replace(solved)  # without its cached values, which take memory
+            self._solved[kinds] = _without_cache(solved)
         return self._solved[kinds]
 
     def _absent(self, kinds: frozenset[str]) -> BoolArray:
@@ -158,22 +159,25 @@ class _TermModel:
         worst = min((at.cost for known, at in self._solved.items() if known <= fewer), default=np.inf)
         return worst - min((at.cost for known, at in self._solved.items() if known >= more), default=-np.inf)
 
-    def _squares(self, at: SolvedModel) -> FloatArray:
+    def _squares(self, kinds: frozenset[str]) -> FloatArray:
         """Squared errors of left-out blocks, divided by those of the model without terms, (n_blocks,)."""
-        sums = self._solve_with_kinds(frozenset()).squares_and_freedom[0]
-        counts = np.bincount(self._rows.group, minlength=len(sums))
-        return at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
+        if kinds not in self._left_out:
+            sums = self._solve_with_kinds(frozenset()).squares_and_freedom[0]
+            counts = np.bincount(self._rows.group, minlength=len(sums))
+            at = _without_cache(self._solve_with_kinds(kinds))
+            self._left_out[kinds] = at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
+        return self._left_out[kinds]
 
     def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
         """Whether a kind stays among these kinds, by the two conditions of the module docstring."""
         needed = TELLS + float(np.log(len(self._requested_kinds)))
         if self._most_evidence(kind, kinds) <= needed:
             return False
-        at, without = self._solve_with_kinds(kinds | {kind}), self._solve_with_kinds(kinds - {kind})
-        if without.cost - at.cost <= needed:
+        more, fewer = kinds | {kind}, kinds - {kind}
+        if self._solve_with_kinds(fewer).cost - self._solve_with_kinds(more).cost <= needed:
             return False
-        fewer = self._squares(without) - self._squares(at)
-        return float(np.sum(fewer)) > np.sqrt(len(fewer)) * float(np.std(fewer, ddof=1))
+        gains = self._squares(fewer) - self._squares(more)
+        return float(np.sum(gains)) > np.sqrt(len(gains)) * float(np.std(gains, ddof=1))
 
     @cached_property
     def _chosen_model(self) -> SolvedModel:
@@ -252,3 +256,8 @@ class _TermModel:
         sized = np.isin(np.arange(len(logs)), np.flatnonzero(np.isin(self._terms, curves)))
         draws = np.where(fitted & sized, logs, self._draws)  # a fit finds the sizes of curves again
         return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, draws, others)
+
+
+def _without_cache(at: SolvedModel) -> SolvedModel:
+    """Copy without the cached matrices, which take memory."""
+    return replace(at)

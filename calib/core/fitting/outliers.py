@@ -26,6 +26,7 @@ from calib.core.instruments.kind import Instrument
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.clusters import directions
 from calib.core.numerics.losses import StudentisedErrors
+from calib.core.numerics.tall import Span
 from calib.core.rows.rows import Layout, Rows
 
 _ALL = 1.0 - 1e-9  # if outliers decide this part of a direction, nothing else determines it
@@ -75,7 +76,7 @@ class Outlier:
 @memoize
 def studentise_errors(fit: SolvedFit) -> StudentisedErrors:
     """Return the studentised error of every used reading; see `calib.core.numerics.losses`."""
-    return _studentise(fit, fit.rows, fit.root, fit.weights)
+    return _studentise(fit, fit.rows, fit.span, fit.weights)
 
 
 def bounded_weights(fit: SolvedFit) -> FloatArray:
@@ -87,21 +88,20 @@ def bounded_weights(fit: SolvedFit) -> FloatArray:
     while not np.all(is_outlier[errors.outliers]):
         is_outlier[errors.outliers] = True
         out = np.flatnonzero(is_outlier[used.layout.reading])
-        decided, own, turned = directions(used.jacobian[out] @ fit.root, used.residuals[out])
+        decided, own, turned = directions(used.span[out], used.residuals[out])
         gain = np.where(decided < _ALL, 1.0 / np.maximum(1.0 - decided, 1.0 - _ALL), 0.0)
-        step = fit.root @ (turned.T @ (gain * own))
-        root = fit.root @ np.linalg.cholesky(np.eye(fit.root.shape[1]) + turned.T @ (gain[:, None] * turned))
-        rows = replace(fit.rows, residuals=fit.rows.residuals + fit.rows.jacobian @ step)
-        errors = _studentise(fit, rows, root, np.where(is_outlier, 0.0, fit.weights))
+        rows = replace(fit.rows, residuals=fit.rows.residuals + fit.span.times(turned.T @ (gain * own)))
+        span = fit.span.with_columns(fit.span.times(turned.T * np.sqrt(gain)))  # it has the products U (1 + G) U^T
+        errors = _studentise(fit, rows, span, np.where(is_outlier, 0.0, fit.weights))
     return np.minimum(fit.weights, errors.bounded_weights)
 
 
-def _studentise(fit: SolvedFit, rows: Rows, root: FloatArray, weights: FloatArray) -> StudentisedErrors:
+def _studentise(fit: SolvedFit, rows: Rows, span: Span, weights: FloatArray) -> StudentisedErrors:
     number = rows.layout.group
     # stated noise of groups may be wrong by different factors: each group is tested by its real noise
     relative = np.maximum(fit.statistics.factors.values / noise_factor(fit), _LEAST_FACTOR)
     divisor = np.where(number >= 0, relative[number], 1.0)
-    return replace(rows, residuals=rows.residuals / divisor).studentise(root, weights, fit.statistics.freedom)
+    return replace(rows, residuals=rows.residuals / divisor).studentise(span, weights, fit.statistics.freedom)
 
 
 def noise_factor(fit: SolvedFit) -> float:

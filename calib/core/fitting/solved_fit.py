@@ -19,6 +19,7 @@ from calib.core.numerics.identifiability import Rank, reduce_rows
 from calib.core.numerics.losses import Loss
 from calib.core.numerics.observability import observability
 from calib.core.numerics.statistics import ChiSquare, Statistics, chi_square
+from calib.core.numerics.tall import Span
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.loops import carries_home
 from calib.core.robots.robot import Robot
@@ -253,3 +254,8 @@ class SolvedFit(ReadOnlyArrays):
     def root(self) -> FloatArray:
         """T of `calib.core.numerics.observability` at the solution, with weights of a robust loss, (n_free, rank)."""
         return self.weighted_rows.posterior_information.root
+
+    @property
+    def span(self) -> Span:
+        """J T of the rows without weights of a robust loss, (n_rows, rank)."""
+        return self.rows.span if self.weighted_rows is self.rows else Span(self.rows.jacobian, self.root)

@@ -44,7 +44,6 @@ from calib.core.fitting.validation import readings_at
 from calib.core.numerics.chances import HARDLY
 from calib.core.numerics.clusters import shifts_without_block
 from calib.core.numerics.statistics import chi_square
-from calib.core.numerics.tall import Span
 from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
 from calib.core.rows.rows import Rows
 
@@ -98,8 +97,8 @@ def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
     if rows is fit.rows:
         moved, decided = _prediction_shifts(rows)
     else:
-        pose, seen = rows.layout.pose_of_row, Span(fit.rows.jacobian, fit.root)
-        moved, decided = shifts_without_block(rows.span, pose, rows.residuals, seen=seen, alone=_DECIDES)
+        pose = rows.layout.pose_of_row
+        moved, decided = shifts_without_block(rows.span, pose, rows.residuals, seen=fit.span, alone=_DECIDES)
     read = fit.whitening.unwhiten_rows(moved, fit.scales)
     after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
     predictable = np.isin(data.pose_numbers, np.flatnonzero(decided > _DECIDES), invert=True)

@@ -24,6 +24,7 @@ from calib.core.judging.linear_fit import LinearFit
 from calib.core.judging.promise import Promise
 from calib.core.judging.row_derivatives import EffectSetting
 from calib.core.numerics.losses import StudentisedErrors
+from calib.core.numerics.tall import Span
 
 MOST_POSES = 10_000
 """Patterns, scales and causes are judged on at most this many poses: more take time, and hardly change the answer."""
@@ -36,7 +37,9 @@ def validation_studentised(fit: Fit) -> StudentisedErrors | None:
         return None
     rows = System.from_promise(Promise.from_calibration(fit), fit.validation.data, same_setup=True).rows
     unused, known = np.zeros(rows.layout.n_readings), np.eye(rows.jacobian.shape[1])
-    return rows.studentise(known, unused, fit.statistics.freedom, studentise_errors(fit).scale / noise_factor(fit))
+    return rows.studentise(
+        Span(rows.jacobian, known), unused, fit.statistics.freedom, studentise_errors(fit).scale / noise_factor(fit)
+    )
 
 
 @memoize

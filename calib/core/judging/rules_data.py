@@ -33,6 +33,7 @@ from calib.core.judging.repeatability import pose_error_over_repeatability
 from calib.core.judging.rounded_joint_values import rounding
 from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.numerics.losses import HIGH_LEVERAGE
+from calib.core.numerics.tall import Span
 from calib.core.robots.robot import Robot
 from calib.core.rows.rows import Rows
 
@@ -277,8 +278,8 @@ def leverage(fit: Fit) -> Iterator[Reason]:
     lasting = fit.unknowns.family < 0
     if np.any(deciding) and not np.all(lasting):
         rows = fit.rows.select_parameters(lasting)
-        root = rows.with_weights(fit.weights).posterior_information.root
-        deciding &= rows.studentise(root, fit.weights, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
+        span = Span(rows.jacobian, rows.with_weights(fit.weights).posterior_information.root)
+        deciding &= rows.studentise(span, fit.weights, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
     visits = dict.fromkeys(fit.rows.layout.visit[np.flatnonzero(deciding)].tolist())
     high = [fit.identification.data.labels[k] for k in visits]
     if high and fit.statistics.freedom >= FEW:

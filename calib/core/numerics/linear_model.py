@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.numerics.identifiability import reduce_rows
+from calib.core.numerics.identifiability import MANY_COLUMNS, reduce_rows
 from calib.core.numerics.observability import Information, posterior_information
 from calib.core.numerics.prior import Prior
 from calib.core.numerics.tall import Span
@@ -71,7 +71,9 @@ class LinearModel:
     @cached_property
     def posterior_information(self) -> Information:
         """Information of these rows and the priors."""
-        return posterior_information(self.factor[: self.jacobian.shape[1], :-1], self.prior)
+        n = self.jacobian.shape[1]
+        known = n < MANY_COLUMNS or "factor" in vars(self)  # else products take less time
+        return posterior_information(self.factor[:n, :-1] if known else self.jacobian, self.prior)
 
     @cached_property
     def span(self) -> Span:

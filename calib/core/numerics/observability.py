@@ -122,6 +122,13 @@ class Information(ReadOnlyArrays):
         """T T^T, (n_parameters, n_parameters)."""
         return square_of_triangle(self.root) if self._all_clear else self.root @ self.root.T
 
+    def covariance_from(self, core: FloatArray) -> FloatArray:
+        """Return T C T^T for a core C (rank, rank), (n_parameters, n_parameters)."""
+        if not self._all_clear:
+            return self.root @ core @ self.root.T
+        left: FloatArray = scipy.linalg.blas.dtrmm(1.0, self.root, core)
+        return np.asarray(scipy.linalg.blas.dtrmm(1.0, self.root, left, side=1, trans_a=1, overwrite_b=1))
+
     @cached_property
     def undetermined(self) -> BoolArray:
         """Mask of the parameters that depend on an undetermined direction, (n_parameters,)."""
@@ -162,7 +169,9 @@ def information(rows: FloatArray, priors: FloatArray | None = None) -> Informati
         priors: P, (n_priors, n_parameters), of `calib.core.numerics.prior`; none if not given.
     """
     rows = rows.reshape(-1, rows.shape[-1])
-    factor = reduce_rows(rows if priors is None or not len(priors) else np.vstack([_few_rows(rows), priors]))
+    above = priors is not None and len(priors) > 0
+    factor = rows if above and len(rows) <= rows.shape[1] else reduce_rows(rows)
+    factor = reduce_rows(np.vstack([factor, priors])) if above else factor
     hold(factor)
     return Information(factor)
 
@@ -170,13 +179,7 @@ def information(rows: FloatArray, priors: FloatArray | None = None) -> Informati
 def posterior_information(rows: FloatArray, prior: Prior) -> Information:
     """Return the information of whitened rows (n_rows, n_parameters) and of a prior."""
     if rows.shape[1] >= MANY_COLUMNS and np.any(prior.has):
-        few = _few_rows(rows)
-        quick = factor_products(prior.add_to(few.T @ few))
+        quick = factor_products(prior.add_to(rows.T @ rows))
         if quick is not None:
             return Information(quick)
     return information(rows, prior.rows)
-
-
-def _few_rows(rows: FloatArray) -> FloatArray:
-    """Rows with the same products, at most as many as columns."""
-    return rows if len(rows) <= rows.shape[1] else reduce_rows(rows)

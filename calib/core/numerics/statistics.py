@@ -311,7 +311,7 @@ def statistics(
             for group, factor in enumerate(factors.effective):
                 own = pulled[number == group]
                 core += (factors.slope * factor) ** 2 * (own.T @ own)
-        scaled_covariance = root @ core @ root.T
+        scaled_covariance = known.covariance_from(core)
     if by_sizes is not None:
         scaled_covariance = scaled_covariance + by_sizes
     scaled_covariance = (scaled_covariance + scaled_covariance.T) / 2  # symmetric to the last digit

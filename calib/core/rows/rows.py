@@ -112,16 +112,16 @@ class Rows(LinearModel):
         return replace(self, residuals=root * self.residuals, jacobian=root[:, None] * self.jacobian)
 
     def studentise(
-        self, root: FloatArray, weights: FloatArray, freedom: float, scale: float | None = None
+        self, span: Span, weights: FloatArray, freedom: float, scale: float | None = None
     ) -> StudentisedErrors:
         """Studentise the error of every reading.
 
         Args:
-            root: T of `calib.core.numerics.observability`, (n_free, rank).
+            span: J T of the rows, with T of `calib.core.numerics.observability`, (n_rows, rank).
             weights: Weight of each reading in the fit, (n_readings,); 0 for unused readings.
             scale: See `calib.core.numerics.losses`; found from these readings if not given.
         """
-        layout, span = self.layout, Span(self.jacobian, root)
+        layout = self.layout
         return studentised(self.residuals, span, layout.reading, layout.width, weights, freedom, scale)
 
     def distances(self) -> FloatArray:

@@ -208,10 +208,10 @@ def hypotheses(robot: Robot, q: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     links = sorted({joint.child for joint in robot.urdf.joints if joint.name in names})
     links.append(robot.description.targets[robot.target_names[0]].frame)
     rises = np.stack([robot.jacobian(q, link)[:, 2] for link in links], axis=2)  # rises of the origins of links
-    for j, joint in enumerate(names):
+    for j, (joint, orders) in enumerate(zip(names, wave_orders(q), strict=True)):
         moves = {f"gravity at {joint}": rises[:, j], f"gain of {joint}": q[:, [j]]}
         moves |= {f"coupling of {joint} by {other}": q[:, [k]] for k, other in enumerate(names) if k != j}
-        most = min(wave_orders(q[:, j]).stop, _MOST_WAVES + 1) if robot.mechanism.dimensions[joint] == "angle" else 0
+        most = min(orders.stop, _MOST_WAVES + 1) if robot.mechanism.dimensions[joint] == "angle" else 0
         for waves in range(1, most):
             turned = np.stack([np.sin(waves * q[:, j]), np.cos(waves * q[:, j])], axis=1)
             moves[f"gear of {joint} ({count_noun(waves, 'wave')} a turn)"] = turned

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.memoize import memoize
 from calib.core.base.words import count_noun
 from calib.core.fitting.pose_checks import unmoved_joints
@@ -137,8 +137,8 @@ class Waves(Effects):
 
 
 def powers(turned: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
-    """Return z, z^2, ... of complex numbers z (n,), (count, n)."""
-    result = np.empty((count, len(turned)), dtype=complex)
+    """Return z, z^2, ... of complex numbers z (...), (count, ...)."""
+    result = np.empty((count, *turned.shape), dtype=complex)
     result[0], known = turned, 1
     while known < count:
         more = min(known, count - known)
@@ -147,22 +147,27 @@ def powers(turned: NDArray[np.complex128], count: int) -> NDArray[np.complex128]
     return result
 
 
-def wave_orders(phase: FloatArray) -> range:
-    """Return the numbers of cycles to test for a joint with these phases of one cycle, (n_visits,) [rad].
+def wave_orders(phases: FloatArray) -> list[range]:
+    """Return the numbers of cycles to test for each joint with these phases of one cycle, (n_visits, n_joints) [rad].
 
     An order counts only if the joint went through half a cycle of it: otherwise its height is not known. If joint
     values lie on a grid (every 5 degrees), an order above half the grid's cycles in a turn (36) equals a lower one at
     all poses: only the lower one counts.
     """
+    few = phases[:: len(phases) // _VISITS_LOOKED_AT + 1]
+    common = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=1)) > _LIKELY
+    return [_orders(phase, same) for phase, same in zip(phases.T, common.T, strict=True)]
+
+
+def _orders(phase: FloatArray, same: BoolArray) -> range:
+    """Orders of one joint; of `same`, numbers of cycles of which all phases may be equal, (n_orders,)."""
     reach = float(np.ptp(phase))
     if reach == 0:
         return range(0)
-    few = phase[:: len(phase) // _VISITS_LOOKED_AT + 1]
-    same = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=1)) > _LIKELY
-    same[: int(np.ceil(TURN / reach - _SAME)) - 1] = False  # less than one cycle
-    likely = (np.flatnonzero(same) + 1).tolist()
+    likely = np.flatnonzero(same)
+    likely = likely[likely >= int(np.ceil(TURN / reach - _SAME)) - 1] + 1  # not less than one cycle
     grid = next((order for order in likely if abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID), 2 * ORDERS.stop)
-    stop = min(grid // 2 + 1, ORDERS.stop)
+    stop = min(int(grid) // 2 + 1, ORDERS.stop)
     return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), stop), stop)
 
 
@@ -215,22 +220,22 @@ def _joint_effects(setting: EffectSetting) -> Iterator[Effects]:
     robot, data, visit = setting.fit.robot, setting.data, setting.visit
     names, curves, in_course = robot.joint_names, _curves(data.joints), _curves(setting.course[:, None])
     still, driving = unmoved_joints(robot, data.joints), (np.mean(data.joints, axis=0) - data.joints)[:, None]
-    for j, name in enumerate(names):
+    turning = np.array([robot.mechanism.dimensions[name] == "angle" for name in names])
+    reach = np.ptp(data.joints, axis=0)
+    phases = data.joints * np.where(turning, 1.0, TURN / np.where(reach > 0, reach, 1.0))
+    for j, (name, orders) in enumerate(zip(names, wave_orders(phases), strict=True)):
         if name in still:
             continue
-        column, q = setting.joint_columns[:, j : j + 1], data.joints[:, j]
+        column = setting.joint_columns[:, j : j + 1]
         yield Effects(Kind.JOINT, name, column, visit, curves[:, :, j : j + 1])
         yield Effects(Kind.APPROACH, name, column, visit, data.approach_directions[:, j, None, None])
         yield Effects(Kind.ZERO, name, column, visit, in_course)
         drivers = [k for k in (j - 1, j + 1) if 0 <= k < len(names) and names[k] not in still]
         if drivers:
             yield Effects(Kind.COUPLING, name, column, visit, driving[:, :, drivers], [names[k] for k in drivers])
-        turns = robot.mechanism.dimensions[name] == "angle"
-        unit = "a turn" if turns else "over the range measured"
-        phase = q if turns else q * (TURN / float(np.ptp(q)))
-        orders = wave_orders(phase)
         if orders:
-            yield Waves(Kind.WAVE, name, column, visit, phase[:, None, None], orders=orders, unit=unit)
+            unit = "a turn" if turning[j] else "over the range measured"
+            yield Waves(Kind.WAVE, name, column, visit, phases[:, j, None, None], orders=orders, unit=unit)
 
 
 def _always(setting: EffectSetting) -> FloatArray:

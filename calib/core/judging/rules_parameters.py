@@ -206,7 +206,8 @@ def _cost_with(
         is_scale: Whether the column scales all lengths, and noise with them.
     """
     unit, size = unit_columns(columns)
-    solution = linalg.lstsq(unit, -right, rcond=None)
+    alone = unit.shape[1] == 1  # of one unit column, the product is the solution
+    solution = -(unit.T @ right) if alone else linalg.lstsq(unit, -right, rcond=None)
     squares = (unit @ solution + right) ** 2
     first = float(solution[0] / size[0]) if len(size) else 0.0
     noise = max(abs(1.0 + first), _NOTHING) ** 2 if is_scale else 1.0

@@ -158,7 +158,7 @@ def blocks_of_equal_length(block: IntArray) -> Iterator[IntArray]:
         block = block[order]
     first = np.flatnonzero(np.append(np.ones(min(len(block), 1), dtype=bool), block[1:] != block[:-1]))
     counts = np.diff(first, append=len(block))
-    for count in map(int, np.unique(counts)):
+    for count in np.flatnonzero(np.bincount(counts)).tolist():
         starts = first[counts == count]
         at_once = max(_ROWS_AT_ONCE // count, 1)
         for k in range(0, len(starts), at_once):

@@ -200,26 +200,28 @@ class _Solutions:
 
 
 def carry(
-    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray
+    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray, *, slopes: bool = True
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Follow configurations that close the nominal mechanism while its origins move to those of `mechanism`.
 
     Args:
         mode: Nominal mechanism and assembly mode.
         actuated, passive: The configurations, (n, n_actuated), (n, n_passive) [m or rad]; actuated joints stay.
+        slopes: Whether C_p is wanted.
 
     Returns:
-        Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses arrived (n,).
+        Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), NaN if not wanted, and which poses arrived
+        (n,).
     """
     solutions = _Solutions(len(actuated), passive.shape[1])
 
     def go(index: IntArray, at: FloatArray, low: float, high: float) -> tuple[IntArray, FloatArray]:
         """Go from the part `low` of the change to `high`; return which poses arrived, and their passive joints."""
         partway = mechanism if high == 1 else mode.mechanism.interpolated(mechanism, high)
-        solved, slope, _, ok = newton(partway, mode, actuated[index], at)
+        solved, slope, _, ok = newton(partway, mode, actuated[index], at, slopes=slopes)
         ok &= np.max(np.abs((solved - at) / partway.passive_scale), axis=1, initial=0.0) < 4 * LARGEST_STEP
         if high == 1:
-            solutions.take(solved, slope, ok, index)
+            solutions.take(solved, slope if slopes else solutions.slope[index], ok, index)
         left = np.flatnonzero(~ok)
         if len(left) == 0 or high - low < _SMALLEST_CHANGE:
             return index[ok], solved[ok]

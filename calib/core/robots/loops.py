@@ -110,7 +110,9 @@ def close(
 
 def carries_home(mechanism: Mechanism, mode: AssemblyMode) -> bool:
     """Return whether home can be carried over to the origins of `mechanism`, and closes there in its assembly mode."""
-    return not mechanism.loops or bool(carry(mechanism, mode, mode.actuated[None], mode.passive[None])[2][0])
+    return not mechanism.loops or bool(
+        carry(mechanism, mode, mode.actuated[None], mode.passive[None], slopes=False)[2][0]
+    )
 
 
 def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:

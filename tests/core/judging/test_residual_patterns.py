@@ -351,8 +351,8 @@ def test_of_joint_values_on_a_grid_the_lowest_number_of_cycles_is_named(arm, ste
     """On a grid of 5 degrees 71 cycles are at every pose minus 1 cycle, on one of 20 degrees 93 are 3."""
     grid = np.deg2rad(step) * np.round(np.rad2deg(joints(80)) / step)
     assert np.allclose(np.cos(beyond * grid[:, 1]), np.cos(true * grid[:, 1]))
-    assert wave_orders(grid[:, 1]).stop - 1 == 180 // step
-    assert wave_orders(joints(80)[:, 1]).stop == ORDERS.stop
+    assert wave_orders(grid)[1].stop - 1 == 180 // step
+    assert wave_orders(joints(80))[1].stop == ORDERS.stop
 
 
 def test_a_number_of_cycles_that_few_poses_do_not_determine_is_not_named(arm):

@@ -40,6 +40,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.instruments.kind import Readings
+from calib.core.numerics.mixed_rows import UNSEEN, SeenColumns
 from calib.core.numerics.observability import posterior_information
 from calib.core.numerics.statistics import prior_directions
 from calib.core.rows.rows import Rows
@@ -55,30 +56,30 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     Args:
         groups: Scale of the noise of each group, (n_groups,).
     """
-    root, own = rows.posterior_information.root, problem.unknowns.family < 0
-    shares, turned = prior_directions(rows.posterior_information, rows.prior)
-    directions = np.zeros((len(root), turned.shape[1]))
-    directions[own] = root[own] @ turned
-    held, seen = (_fewest(directions[:, which]) for which in (shares > _HELD, shares <= _HELD))
-    directions, n_held = np.hstack([held, seen]), held.shape[1]
+    own = problem.unknowns.family < 0
+    seen = SeenColumns.from_rows(rows.few_rows, rows.prior, problem.unknowns.family, UNSEEN)
+    known = posterior_information(seen.combine(rows.few_rows), seen.prior)
+    shares, turned = prior_directions(known, seen.prior)
+    turned = known.root[: np.count_nonzero(own)] @ turned
+    held, decided = (_fewest(turned[:, which]) for which in (shares > _HELD, shares <= _HELD))
+    directions, n_held = np.hstack([held, decided]), held.shape[1]
     counts = np.where(np.arange(directions.shape[1]) < n_held, 0.5, 1.0)  # j, i is the same as i, j
-    result = np.zeros(len(root))
-    squares, mean = np.zeros_like(result[own]), np.zeros_like(result[own])
+    result = np.zeros(len(own))
     if not n_held:
         return result
+    squares, mean = np.zeros_like(result[own]), np.zeros_like(result[own])
     problem, final, times = _problem_at_some_poses(problem, final)
     jacobian = rows.jacobian if times == 1.0 else np.sqrt(times) * problem.rows(final, groups).jacobian
-    back, columns = (
-        posterior_information(jacobian, rows.prior).covariance[own] @ jacobian.T,
-        problem.unknowns.select(own),
-    )
+    combined, columns = seen.combine(jacobian), problem.unknowns.select(own)
+    back = posterior_information(combined, seen.prior).covariance[: len(squares)] @ combined.T
     for i in range(n_held):
         for step in (_STEP, -_STEP):
-            moved = problem.unknowns.robot_at(final.robot, rows.deviations + step * directions[:, i])
-            evaluation = problem.evaluate_if_closed(moved, final)
+            deviations = rows.deviations.copy()
+            deviations[own] += step * directions[:, i]
+            evaluation = problem.evaluate_if_closed(problem.unknowns.robot_at(final.robot, deviations), final)
             if evaluation is not None:
                 there = np.sqrt(times) * problem.derivative(evaluation, groups, columns)
-                curvature = -(back @ (there - jacobian[:, own])) @ (directions[own] / step)  # by T T^T J^T H t_i
+                curvature = -(back @ (there - jacobian[:, own])) @ (directions / step)  # by T T^T J^T H t_i
                 squares += curvature**2 @ counts
                 mean += curvature[:, i] / 2
                 break

@@ -28,7 +28,7 @@ from calib.core.numerics.chances import UNLIKELY
 from calib.core.numerics.identifiability import MANY_COLUMNS, reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE, LeastSquaresSolution, minimise
 from calib.core.numerics.linear_model import LinearModel, RowGroups
-from calib.core.numerics.mixed_rows import SeenColumns
+from calib.core.numerics.mixed_rows import UNSEEN, SeenColumns
 from calib.core.robots.configurations import Configurations, close, configurations_if_closed, describe_open
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
@@ -38,7 +38,6 @@ from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
 _LEAST_FREEDOM = 0.1  # least degrees of freedom per row, where priors hold more parameters than there are rows
-_UNSEEN = 1e-3  # of a component of this length, rows decide a millionth of the variance
 _TRIALS = 2  # points that the solver compares before it moves
 
 
@@ -320,7 +319,7 @@ class _SolverRows:
         self.begin = first = unknowns.deviations(start.robot.values)
         if unknowns.families:
             rows = problem.derivative(start, groups, unknowns, weights)
-            self._seen = SeenColumns.from_rows(rows, unknowns.prior, unknowns.family, _UNSEEN)
+            self._seen = SeenColumns.from_rows(rows, unknowns.prior, unknowns.family, UNSEEN)
             self.begin, self._prior = self._seen.combine(first), self._seen.prior
             self._others = first - self._seen.coefficients(self.begin)
         self._looked_at: list[tuple[FloatArray, Evaluation | None, FloatArray]] = [

@@ -71,9 +71,13 @@ class LinearModel:
     @cached_property
     def posterior_information(self) -> Information:
         """Information of these rows and the priors."""
+        return posterior_information(self.few_rows, self.prior)
+
+    @property
+    def few_rows(self) -> FloatArray:
+        """Rows with the products J^T J: those of `factor`, or J where many columns make products the quicker way."""
         n = self.jacobian.shape[1]
-        known = n < MANY_COLUMNS or "factor" in vars(self)  # else products take less time
-        return posterior_information(self.factor[:n, :-1] if known else self.jacobian, self.prior)
+        return self.factor[:n, :-1] if n < MANY_COLUMNS or "factor" in vars(self) else self.jacobian
 
     @cached_property
     def span(self) -> Span:

@@ -17,8 +17,10 @@ from calib.core.numerics.prior import Prior
 
 FLAT, KNOWN = -2, -1
 """Family numbers with a meaning: `FLAT` is a column without a prior, `KNOWN` is one with the prior N(0, 1)."""
+UNSEEN = 1e-3
+"""Of a component of this length, rows decide a millionth of the variance."""
 _ASIDE = 1e-4  # components of a family below this part of its largest singular value are dropped
-_UNSEEN = 1e-11  # the same part for columns without a prior: less is rounding of columns that depend on others
+_ROUNDING = 1e-11  # the same part for columns without a prior: less is rounding of columns that depend on others
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +103,7 @@ class FamilyPart(ReadOnlyArrays):
             lengths = np.linalg.norm(columns, axis=0)
             lengths[lengths == 0.0] = 1.0
             _, values, vectors = linalg.svd(reduce_rows(columns / lengths), full_matrices=False)
-            seen = values > _UNSEEN * values[0]
+            seen = values > _ROUNDING * values[0]
             kept = vectors[seen].T / values[seen] / lengths[:, None]
             return FamilyPart(members, kept, family)
         if family == KNOWN and least == 0.0:

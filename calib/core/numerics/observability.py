@@ -169,9 +169,11 @@ def information(rows: FloatArray, priors: FloatArray | None = None) -> Informati
         priors: P, (n_priors, n_parameters), of `calib.core.numerics.prior`; none if not given.
     """
     rows = rows.reshape(-1, rows.shape[-1])
-    above = priors is not None and len(priors) > 0
-    factor = rows if above and len(rows) <= rows.shape[1] else reduce_rows(rows)
-    factor = reduce_rows(np.vstack([factor, priors])) if above else factor
+    if priors is None or not len(priors):
+        factor = reduce_rows(rows)
+    else:
+        few = rows if len(rows) <= rows.shape[1] else reduce_rows(rows)
+        factor = reduce_rows(np.vstack([few, priors]))
     hold(factor)
     return Information(factor)
 

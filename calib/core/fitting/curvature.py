@@ -40,8 +40,9 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.instruments.kind import Readings
+from calib.core.numerics import linalg
 from calib.core.numerics.observability import information
-from calib.core.numerics.statistics import prior_directions
+from calib.core.numerics.statistics import prior_shares
 from calib.core.rows.rows import Rows
 
 _HELD = 0.1  # priors hold a direction if they have more than this share in it
@@ -56,7 +57,7 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
         groups: Scale of the noise of each group, (n_groups,).
     """
     root, own = rows.posterior_information.root, problem.unknowns.family < 0
-    shares, turned = prior_directions(rows.posterior_information, rows.prior)
+    shares, turned = linalg.eigh(prior_shares(rows.posterior_information, rows.prior))
     directions = np.zeros((len(root), turned.shape[1]))
     directions[own] = root[own] @ turned
     held, seen = (_fewest(directions[:, which]) for which in (shares > _HELD, shares <= _HELD))

@@ -40,9 +40,10 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.instruments.kind import Readings
+from calib.core.numerics import linalg
 from calib.core.numerics.mixed_rows import UNSEEN, SeenColumns
 from calib.core.numerics.observability import posterior_information
-from calib.core.numerics.statistics import prior_directions
+from calib.core.numerics.statistics import prior_shares
 from calib.core.rows.rows import Rows
 
 _HELD = 0.1  # priors hold a direction if they have more than this share in it
@@ -59,7 +60,7 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
     own = problem.unknowns.family < 0
     seen = SeenColumns.from_rows(rows.few_rows, rows.prior, problem.unknowns.family, UNSEEN)
     known = posterior_information(seen.combine(rows.few_rows), seen.prior)
-    shares, turned = prior_directions(known, seen.prior)
+    shares, turned = linalg.eigh(prior_shares(known, seen.prior))
     turned = known.root[: np.count_nonzero(own)] @ turned
     held, decided = (_fewest(turned[:, which]) for which in (shares > _HELD, shares <= _HELD))
     directions, n_held = np.hstack([held, decided]), held.shape[1]

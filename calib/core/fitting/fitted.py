@@ -76,10 +76,8 @@ class Fit(SolvedFit, HintedObject):
     @cached_property
     def interval_statistics(self) -> Statistics:
         """Uncertainty of the free parameters in their intervals: regions left out and undecided terms count, too."""
-        known = self.statistics.widen(self.interval_factor)
-        if self.undecided is None:
-            return known
-        return known.with_more(np.sum(self.undecided.sensitivity_of(self.free_names) ** 2, axis=1))
+        more = 0.0 if self.undecided is None else np.sum(self.undecided.sensitivity_of(self.free_names) ** 2, axis=1)
+        return self.statistics.widen(self.interval_factor, more)
 
     @cached_property
     def covariance(self) -> Covariance:
@@ -183,17 +181,12 @@ class Fit(SolvedFit, HintedObject):
     @cached_property
     def unexplained(self) -> UnexplainedErrors:
         """Errors that the residuals show in addition to noise."""
-        return unexplained_errors(self, sized=self._is_sized)
+        return unexplained_errors(self, sized=self.terms is not None and self.terms.automatic)
 
     @property
     def reading_noise(self) -> FloatArray:
         """Noise of each group of rows beside errors of joints, (n_groups,) [SI]; `noise` contains these, too."""
         return self.unexplained.reading_noise
-
-    @property
-    def _is_sized(self) -> bool:
-        """Whether the sizes of all kinds of joint terms were found for the fit."""
-        return self.terms is not None and self.terms.automatic
 
     @property
     def joint_error(self) -> float:
@@ -206,7 +199,7 @@ class Fit(SolvedFit, HintedObject):
     @property
     def undecided(self) -> UndecidedTerms | None:
         """Joint terms that the data do not exclude, and that the robot lacks; None if there are none."""
-        if self.terms is not None and self._is_sized:
+        if self.terms is not None and self.terms.automatic:
             return self.terms.undecided
         if all(group.stated for group in self.whitening.groups):
             return None  # without the work of `unexplained`

@@ -20,7 +20,7 @@ from calib.core.base.arrays import IntArray
 from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import boxes
 from calib.core.numerics.chances import HARDLY, UNLIKELY
-from calib.core.numerics.clusters import Scatter, scatter
+from calib.core.numerics.clusters import scatter
 from calib.core.numerics.statistics import Statistics
 from calib.core.rows.rows import Rows
 
@@ -56,22 +56,12 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
     cuts = {"the measured part of joint space": block}
     if data.setups is not None and np.ptp(data.setups) > 0:
         cuts["the setup"] = data.setups
-    ratios = {name: scatter_without_blocks(rows, statistics, blocks) for name, blocks in cuts.items()}
-    apart = [
-        Regions(name, ratio, chance < UNLIKELY / len(cuts))
-        for name, (ratio, chance) in ratios.items()
-        if chance < HARDLY / len(cuts) and ratio > 1.0
-    ]
+    layout, noise, apart = rows.layout, np.full(rows.layout.n_rows, statistics.factors.common), list[Regions]()
+    for name, regions in cuts.items():
+        of_row = regions[layout.visit[layout.reading]]
+        moved = scatter(rows.span, rows.residuals, noise, of_row, statistics.freedom, level=0.0)  # without core
+        poses = statistics.shared_scatter
+        ratio, chance = (moved.ratio, moved.chance) if poses is None else moved.ratio_to(poses)
+        if chance < HARDLY / len(cuts) and ratio > 1.0:
+            apart.append(Regions(name, ratio, chance < UNLIKELY / len(cuts)))
     return max(apart, key=lambda regions: regions.ratio, default=None)
-
-
-def scatter_without_blocks(rows: Rows, statistics: Statistics, block: IntArray) -> tuple[float, float]:
-    """Return the motion of parameters without each block (n_visits,), as a ratio to that from noise, and its chance."""
-    layout, factors = rows.layout, statistics.factors
-    factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
-    of_row = block[layout.visit[layout.reading]]
-    noise = np.full(layout.n_rows, factor)
-    moved: Scatter = scatter(rows.span, rows.residuals, noise, of_row, statistics.freedom, level=0.0)  # without core
-    return (
-        (moved.ratio, moved.chance) if statistics.shared_scatter is None else moved.ratio_to(statistics.shared_scatter)
-    )

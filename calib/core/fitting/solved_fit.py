@@ -189,9 +189,7 @@ class SolvedFit(ReadOnlyArrays):
         if not all(group.stated for group in self.whitening.groups):
             return None
         factors = self.statistics.factors
-        factor = factors.values * self.scales
-        mean_square = float(np.sum(factors.freedom * factor**2) / factors.total_freedom)
-        return chi_square(float(np.sqrt(mean_square)), factors.total_freedom)
+        return chi_square(replace(factors, values=factors.values * self.scales).common, factors.total_freedom)
 
     @property
     def computed(self) -> bool:

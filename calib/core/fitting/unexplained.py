@@ -52,6 +52,7 @@ from calib.core.fitting.terms.candidate_terms import TELLS, CandidateTerm, candi
 from calib.core.fitting.terms.kind_model import KindModel, with_kinds
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
 from calib.core.numerics.size_search import least_sizes, likeliest_sizes, noise_given_scatter, scatter_given_noise
+from calib.core.robots.robot import Robot
 from calib.core.rows.prediction import UndecidedTerms
 
 _SHORTEST = 0.3  # a component of usual size is negligible if its length is below this part of the fit's noise
@@ -87,19 +88,15 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
     read = model.informative_rows
     read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
     rows = model.rows(read, units, stated, bounded_weights(fit))
-    at = solve_beside_noise(MixedModel.from_rows(rows, _SHORTEST))
-    if at is None:
+    mixed = MixedModel.from_rows(rows, _SHORTEST)
+    if not np.any(mixed.spread > 0.0):  # joints move none of the rows
         return UnexplainedErrors(found)
+    at = likeliest_sizes(mixed)
     delta, noise = scatter_given_noise(at), found
     whole = np.all(fit.weights == 1.0)  # else residuals are smaller than noise
     if whole and delta > 0.0 and delta >= np.exp(at.logs[-1]):  # noise of own shape looks like errors of joints
         noise = np.minimum(found, noise_given_scatter(at, delta) * units * [group.typical for group in groups])
-    return UnexplainedErrors(noise, delta, _shown(model, kinds, at))
-
-
-def solve_beside_noise(model: MixedModel) -> SolvedModel | None:
-    """Return a model with its likeliest sizes; None where joints move none of its rows."""
-    return likeliest_sizes(model) if np.any(model.spread > 0.0) else None
+    return UnexplainedErrors(noise, delta, _shown(model, fit.robot, at))
 
 
 def _kinds_of_few_coefficients(fit: SolvedFit) -> tuple[CandidateTerm, ...]:
@@ -110,8 +107,8 @@ def _kinds_of_few_coefficients(fit: SolvedFit) -> tuple[CandidateTerm, ...]:
     return tuple(kind for kind in kinds if not kind.is_curve_in(robot))
 
 
-def _shown(model: KindModel, kinds: tuple[CandidateTerm, ...], at: SolvedModel) -> UndecidedTerms | None:
-    """Kinds that the rows show, with their likeliest sizes; None if there are none."""
+def _shown(model: KindModel, robot: Robot, at: SolvedModel) -> UndecidedTerms | None:
+    """Kinds that a robot lacks and the rows show, with their likeliest sizes; None if there are none."""
     n, least, known = at.model.n_families, least_sizes(at.model), at
     for k in (k for k in np.argsort(at.logs[:n]) if at.logs[k] > least[k]):
         logs = known.logs.copy()
@@ -122,19 +119,6 @@ def _shown(model: KindModel, kinds: tuple[CandidateTerm, ...], at: SolvedModel) 
     absent = known.logs[:n] <= least[:n]
     if np.all(absent):
         return None
-    shown = [family for family, gone in zip(model.families, absent, strict=True) if not gone]
-    sections = tuple(
-        section
-        for kind in kinds
-        for section in kind.scaled_sections(
-            model.robot,
-            {
-                term.joint: 1.0
-                for term in kind.terms_in(model.robot)
-                if any(family.term == kind.term and family.joint in ("", term.joint) for family in shown)
-            },
-        )
-    )
     shown_logs, none = known.logs.copy(), np.append(least[:n], known.logs[n:])
     shown_logs[:n][absent] = none[:n][absent] = -np.inf
-    return model.undecided(at.model, none, shown_logs[None], sections)
+    return model.undecided(at.model, none, shown_logs[None], robot)

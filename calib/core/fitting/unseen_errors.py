@@ -138,9 +138,7 @@ def rms_shift_left_out(fit: Fit) -> float:
     predicted, whole = leave_one_out_errors(fit), fit.identification
     if predicted is None:
         return math.nan
-    used = whole
-    if len(predicted.data) < len(whole.data):
-        used = errors_at_visits(whole, np.flatnonzero(np.isin(whole.data.names, predicted.data.names)))
+    used = errors_at_visits(whole, np.flatnonzero(np.isin(whole.data.names, predicted.data.names)))
     part = predicted.main_part.name
     moved = predicted.errors("after", part) - used.errors("after", part)
     return float(np.sqrt(np.mean(np.nansum(moved**2, axis=1))))

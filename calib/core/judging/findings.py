@@ -106,12 +106,9 @@ def setting(fit: Fit) -> EffectSetting:
 def linear(fit: Fit) -> LinearFit:
     """Return the fit of the judged poses as a linear model, for tests of effects."""
     fit = sample_of_poses(fit)
-    factors = fit.statistics.factors
-    factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
-    rows = fit.weighted_rows
-    shared = fit.statistics.shared_scatter
-    pose_freedom = np.inf if shared is None else shared.freedom
-    return LinearFit(rows, rows.span, fit.statistics.freedom, factor, pose_freedom)
+    rows, known = fit.weighted_rows, fit.statistics
+    pose_freedom = np.inf if known.shared_scatter is None else known.shared_scatter.freedom
+    return LinearFit(rows, rows.span, known.freedom, known.factors.common, pose_freedom)
 
 
 @memoize

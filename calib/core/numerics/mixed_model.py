@@ -198,6 +198,17 @@ def _rotate_rows(rows: MixedRows) -> Iterator[tuple[IntArray, FloatArray, FloatA
             yield places, turn, spread
 
 
+def information_of_families(covariance: FloatArray, members: FloatArray) -> FloatArray:
+    """Return Fisher's information of the logarithms of sizes of families, (n_families, n_families).
+
+    Args:
+        covariance: A^-1 of the module docstring, (n, n).
+        members: 1 where a column is of a family, else 0, (n_families, n).
+    """
+    information: FloatArray = 2.0 * members @ covariance**2 @ members.T
+    return information + np.diag(2.0 * members @ (1.0 - 2.0 * np.diag(covariance)))
+
+
 @dataclass(frozen=True, eq=False)
 class SolvedModel(ReadOnlyArrays):
     """The model solved with its sizes, in the symbols of the module docstring.
@@ -278,8 +289,7 @@ class SolvedModel(ReadOnlyArrays):
     def information(self) -> FloatArray:
         """Fisher's information of the logarithms of the sizes, (n_sizes, n_sizes)."""
         shares, members = self._shares, self._members
-        families = 2.0 * members @ square_of_triangle(self._root) ** 2 @ members.T
-        families += np.diag(2.0 * members @ (1.0 - 2.0 * self._unseen_part))
+        families = information_of_families(square_of_triangle(self._root), members)
         span = scipy.linalg.blas.dtrmm(1.0, self._root, self._spread, side=1, trans_a=1)  # V^-1/2 T
         mixed = members @ (shares @ span**2).T
         weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]

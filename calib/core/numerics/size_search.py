@@ -60,7 +60,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel, RowGroups
-from calib.core.numerics.mixed_model import MixedModel, SolvedModel
+from calib.core.numerics.mixed_model import MixedModel, SolvedModel, information_of_families
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, MixedRows, SeenColumns
 from calib.core.numerics.statistics import require_freedom
 
@@ -102,11 +102,12 @@ def likeliest_sizes(
     at = model.solve(np.where(none, bounds.least, begin))
     damping, gain = 1e-3, np.inf
     for _ in range(_ROUNDS):
-        gradient = at.gradient + _slope(at)
+        _, slope, curvature = _prior(at)
+        gradient = at.gradient + slope
         free = ~(none | ((at.logs <= bounds.least + _AT_BOUND) & (gradient > 0.0)))
         if np.max(np.abs(gradient[free]), initial=0.0) < _FLAT_COST:
             break
-        information = at.average_information + np.diag(_curvature(at))
+        information = at.average_information + np.diag(curvature)
         seen = at.seen if gain < _NEAR else None  # the cost is not smooth where these change
         better, damping = _try_step(at, gradient, information, free, bounds, damping, least_gain, seen)
         if better is None:
@@ -116,7 +117,7 @@ def likeliest_sizes(
         if gain < least_gain:
             break
         damping *= 0.3
-    falling = (at.gradient + _slope(at) > 0.0) & (at.logs < bounds.first + np.log(_SMALL)) & ~none
+    falling = (at.gradient + _prior(at)[1] > 0.0) & (at.logs < bounds.first + np.log(_SMALL)) & ~none
     falling[model.n_families : model.n_families + len(model.unstated_groups)] = False  # noise is never zero
     without = model.solve(np.where(falling, bounds.least, at.logs)) if np.any(falling) else at
     return without if _cost(without) <= _cost(at) else at
@@ -304,24 +305,17 @@ class _Bounds(ReadOnlyArrays):
 
 def _cost(at: SolvedModel) -> float:
     """-log of the posterior density, up to a constant."""
-    logs = at.logs[: at.model.n_families]
-    cost = at.cost + float(np.sum(np.log1p(np.exp(2.0 * logs))))
-    return cost - float(np.sum(logs[at.model.rows.present]))
+    return at.cost + _prior(at)[0]
 
 
-def _slope(at: SolvedModel) -> FloatArray:
-    n, slope = at.model.n_families, np.zeros(len(at.logs))
-    squares = np.exp(2.0 * at.logs[:n])
-    slope[:n] = 2.0 * squares / (1.0 + squares)
-    slope[at.model.rows.present] -= 1.0
-    return slope
-
-
-def _curvature(at: SolvedModel) -> FloatArray:
-    n, curvature = at.model.n_families, np.zeros(len(at.logs))
-    squares = np.exp(2.0 * at.logs[:n])
-    curvature[:n] = 4.0 * squares / (1.0 + squares) ** 2
-    return curvature
+def _prior(at: SolvedModel) -> tuple[float, FloatArray, FloatArray]:
+    """-log of the prior, its slope by the logarithms of the sizes (n_sizes,), and its curvature (n_sizes,)."""
+    n, present = at.model.n_families, at.model.rows.present
+    squares = np.append(np.exp(2.0 * at.logs[:n]), np.zeros(len(at.logs) - n))
+    slope = 2.0 * squares / (1.0 + squares)
+    slope[present] -= 1.0
+    cost = float(np.sum(np.log1p(squares))) - float(np.sum(at.logs[present]))
+    return cost, slope, 4.0 * squares / (1.0 + squares) ** 2
 
 
 def spread_of_sizes(covariance: FloatArray, family: IntArray) -> FloatArray:
@@ -331,13 +325,8 @@ def spread_of_sizes(covariance: FloatArray, family: IntArray) -> FloatArray:
         covariance: C of the module docstring, (n_free, n_free).
         family: Family of each parameter, -1 for none, (n_free,).
     """
-    members = _members(family)
-    information = np.eye(len(members))
-    for f, index in enumerate(members):
-        for g, others in enumerate(members):
-            shared = covariance[np.ix_(index, others)]
-            information[f, g] += 2.0 * float(np.sum((np.eye(len(index)) - shared if f == g else shared) ** 2))
-    return np.asarray(np.linalg.inv(information))
+    members = family == np.arange(int(np.max(family, initial=-1)) + 1)[:, None]
+    return np.asarray(np.linalg.inv(information_of_families(covariance, 1.0 * members) + np.eye(len(members))))
 
 
 def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: FloatArray) -> FloatArray:
@@ -347,7 +336,7 @@ def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: Floa
         covariance, family: As in `spread_of_sizes`.
         deviations: u at the solution, in units of the found sizes, (n_free,).
     """
-    members = _members(family)
+    members = [np.flatnonzero(family == number) for number in range(int(np.max(family, initial=-1)) + 1)]
     if not members:
         return np.zeros_like(covariance)
     spread = spread_of_sizes(covariance, family)
@@ -363,7 +352,3 @@ def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: Floa
         part = scaled[:, np.sign(weight) == sign]
         added += sign * (part @ part.T)
     return added
-
-
-def _members(family: IntArray) -> list[IntArray]:
-    return [np.flatnonzero(family == number) for number in range(int(np.max(family, initial=-1)) + 1)]

@@ -50,7 +50,6 @@ from numpy.typing import NDArray
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.base.threads import one_blas_thread
-from calib.core.numerics import linalg
 from calib.core.numerics.clusters import Scatter
 from calib.core.numerics.observability import Information
 from calib.core.numerics.prior import Prior
@@ -58,7 +57,6 @@ from calib.core.numerics.tall import Span, slices, squares_of_rows
 
 DECIDED_BY_DATA = 0.9
 """`identified`: the data remove at least this share of a parameter's expected variance; `prior`: at most 1 - this."""
-"""The source of a parameter's value; see `status`."""
 _BY_PRIOR = 1.0 - DECIDED_BY_DATA
 _ENOUGH = 0.5  # with fewer degrees of freedom, the rows of a group say nothing about its noise
 
@@ -84,6 +82,11 @@ class Factors(ReadOnlyArrays):
     def total_freedom(self) -> float:
         """Degrees of freedom of all groups."""
         return float(np.sum(self.freedom))
+
+    @property
+    def common(self) -> float:
+        """One factor in place of those of all groups."""
+        return float(np.sqrt(np.sum(self.freedom * self.values**2) / self.total_freedom))
 
 
 class BeyondLinear:
@@ -152,14 +155,10 @@ class Statistics(ReadOnlyArrays):
         """Half a 95 % interval, in standard deviations."""
         return float(scipy.special.stdtrit(self.interval_freedom, 0.975))
 
-    def widen(self, factor: float) -> Statistics:
-        """Return the statistics, deviations and intervals multiplied by a factor; see `calib.core.fitting.regions`."""
-        return replace(self, std=factor * self.std, wider=factor * self.wider)
-
-    def with_more(self, variances: FloatArray) -> Statistics:
-        """Return the statistics with further variances (n_free,) in standard deviations and intervals."""
-        std = np.sqrt(self.std**2 + variances)
-        wider = np.divide(std, self.std, out=np.ones_like(std), where=self.std > 0)
+    def widen(self, factor: float, more: FloatArray | float = 0.0) -> Statistics:
+        """Return the statistics, deviations and intervals multiplied by a factor, with further variances (n_free,)."""
+        std = np.sqrt((factor * self.std) ** 2 + more)
+        wider = np.divide(std, self.std, out=np.full_like(std, factor), where=self.std > 0)
         return replace(self, std=std, wider=wider * self.wider)
 
     def correlations(self) -> FloatArray:
@@ -219,17 +218,9 @@ def prior_shares(known: Information, prior: Prior) -> FloatArray:
     return held.T @ held
 
 
-def prior_directions(known: Information, prior: Prior) -> tuple[FloatArray, FloatArray]:
-    """Return eigenvalues (rank,) and eigenvectors (rank, rank) of S of the module docstring.
-
-    Many eigenvalues are 1 up to rounding, which some methods cannot handle (`calib.core.numerics.linalg`).
-    """
-    return linalg.eigh(prior_shares(known, prior))
-
-
 def effective_parameters(known: Information, prior: Prior) -> float:
     """Return n_eff of the module docstring, the number of parameters that the rows decide and not the priors."""
-    return float(known.root.shape[1] - np.trace(prior_shares(known, prior)))
+    return float(known.root.shape[1] - np.sum(prior.times(known.root) ** 2))
 
 
 def require_freedom(freedom: float, n_rows: int) -> None:
@@ -292,8 +283,7 @@ def statistics(
         poses, beyond_linear: Attributes of the result.
         by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
     """
-    root, shared = known.root, None if poses is None else poses.core
-    by_prior = float(np.sum(prior.times(root) ** 2))
+    shared = None if poses is None else poses.core
     if shared is None and len(factors.effective) == 1:  # the rows have the rest of the information
         factor = factors.slope * factors.effective[0] ** 2
         scaled_covariance = known.covariance
@@ -319,6 +309,6 @@ def statistics(
     covariance *= scaled_covariance
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(prior.has, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
-    n_effective = root.shape[1] - by_prior
+    decides = effective_parameters(known, prior)
     hold(covariance)
-    return Statistics(factors, factors.total_freedom, covariance, std, decided, n_effective, poses, beyond_linear)
+    return Statistics(factors, factors.total_freedom, covariance, std, decided, decides, poses, beyond_linear)

@@ -46,7 +46,7 @@ def test_a_blas_that_is_loaded_inside_the_function_has_one_thread_as_well():
     ("compute", "within"),
     [
         (pages, "viz.scene.scene_of_fit"),
-        (partial(unexplained_errors, sized=False), "calib.core.fitting.unexplained.solve_beside_noise"),
+        (partial(unexplained_errors, sized=False), "calib.core.fitting.unexplained.likeliest_sizes"),
         (lambda fit: verify(fit, fit.identification.data), "calib.core.judging.acceptance.without_outliers"),
     ],
 )

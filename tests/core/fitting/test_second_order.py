@@ -7,7 +7,8 @@ import calib
 from calib.core.fitting import curvature
 from calib.core.fitting.fit import minimum_of
 from calib.core.fitting.settings import Settings
-from calib.core.numerics.statistics import prior_directions
+from calib.core.numerics import linalg
+from calib.core.numerics.statistics import prior_shares
 from tests.small_robots import ARM_YAML, write_arm
 
 SMALL = ARM_YAML.replace("all, components: [x", "wrist, components: [x").replace("all,", "slide,")
@@ -39,7 +40,7 @@ def fitted(folder, yaml, n):
 def expected(problem, at, rows, groups):
     """E e^2 of all pairs of directions, each by second differences of the residuals alone."""
     root, unknowns = rows.posterior_information.root, problem.unknowns
-    shares, turned = prior_directions(rows.posterior_information, rows.prior)
+    shares, turned = linalg.eigh(prior_shares(rows.posterior_information, rows.prior))
     directions = root @ turned
 
     def residuals(step):

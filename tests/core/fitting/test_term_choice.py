@@ -246,9 +246,9 @@ def test_sizes_of_chosen_curves_are_drawn_no_second_time(monkeypatch):
     robot, drawn = example_arm(None), []
     original = KindModel.undecided
 
-    def looking(self, model, fitted, others, terms):
+    def looking(self, model, fitted, others, robot):
         drawn.append((self.families, fitted, others))
-        return original(self, model, fitted, others, terms)
+        return original(self, model, fitted, others, robot)
 
     monkeypatch.setattr(KindModel, "undecided", looking)
     _, data, _ = simulated(robot, ("curve",), np.random.default_rng(3))

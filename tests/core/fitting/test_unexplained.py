@@ -15,10 +15,9 @@ import pytest
 import calib
 from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.terms.kind_model import KindModel
-from calib.core.fitting.unexplained import solve_beside_noise
 from calib.core.numerics.mixed_model import MixedModel
 from calib.core.numerics.mixed_rows import FLAT, MixedRows
-from calib.core.numerics.size_search import scatter_given_noise
+from calib.core.numerics.size_search import likeliest_sizes, scatter_given_noise
 from calib.core.results.result_reading import load_result
 from tests.core.fitting.test_term_choice import entries
 from tests.project import EXAMPLES, copied
@@ -216,7 +215,7 @@ def test_what_rows_cannot_tell_from_noise_counts_as_errors_of_joints():
     def found(size, stated, by_term=0.0):
         y = size * (errors + by_term * term)
         rows = MixedRows(columns, y, family, one, np.array([stated]), pose, size * joints)
-        return scatter_given_noise(solve_beside_noise(MixedModel.from_rows(rows)))
+        return scatter_given_noise(likeliest_sizes(MixedModel.from_rows(rows)))
 
     assert found(1.0, stated=False) == pytest.approx(1e-4, rel=0.5)
     assert found(1.0, stated=False, by_term=0.01) == pytest.approx(1e-4, rel=0.5)  # what a term explains is no scatter

@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.fitting.solved_fit import SolvedFit
-from calib.core.fitting.terms.candidate_terms import CandidateTerm
+from calib.core.fitting.terms.candidate_terms import CandidateTerm, missing_terms
 from calib.core.numerics import linalg
 from calib.core.numerics.mixed_model import MixedModel
 from calib.core.numerics.mixed_rows import MixedRows
@@ -56,7 +56,7 @@ class KindModel:
     """
 
     def __init__(self, fit: SolvedFit, kinds: Sequence[CandidateTerm]) -> None:
-        self._fit = fit
+        self._fit, self._kinds = fit, kinds
         self.robot = with_kinds(fit.robot, kinds)
         unknowns, known = (
             Unknowns.from_robot(self.robot),
@@ -114,7 +114,7 @@ class KindModel:
         )
 
     def undecided(
-        self, model: MixedModel, fitted: FloatArray, others: FloatArray, terms: tuple[TermSection, ...]
+        self, model: MixedModel, fitted: FloatArray, others: FloatArray, robot: Robot
     ) -> UndecidedTerms | None:
         """Return the uncertainty that the sizes add to the covariance of the fit; None if they add none.
 
@@ -122,7 +122,7 @@ class KindModel:
             model: Model of `rows`.
             fitted: Logarithms of the sizes of the fit, (n_sizes,).
             others: Logarithms of each possible set of sizes, (n_sets, n_sizes).
-            terms: Entries of terms that these sets have, and the fit lacks.
+            robot: The robot of the fit.
         """
         at = model.solve(fitted)
         added, before = -at.covariance, at.condensed_coefficients
@@ -139,5 +139,9 @@ class KindModel:
         condensed[moved] = vectors[:, kept] * np.sqrt(values[kept]) / sizes[:, None]
         spread = np.stack([model.coefficients(column) for column in condensed.T], axis=1)
         spread *= self._unknowns.scales[:, None]
-        names = [k for k, row in enumerate(spread) if np.any(row)]
-        return UndecidedTerms(terms, tuple(self._unknowns.names[k] for k in names), spread[names])
+        rows = np.flatnonzero(np.any(spread, axis=1))
+        names, sections = tuple(self._unknowns.names[k] for k in rows), list[TermSection]()
+        for kind in self._kinds:
+            uncertain = [t.joint for t in kind.terms_in(self.robot) if any(p.name in names for p in t.parameters)]
+            sections += kind.scaled_sections(self.robot, dict.fromkeys(uncertain, 1.0))
+        return UndecidedTerms(missing_terms(robot, tuple(sections)), names, spread[rows])

@@ -60,7 +60,6 @@ from calib.core.fitting.terms.candidate_terms import (
     TermChoice,
     TermTrial,
     candidates,
-    missing_terms,
 )
 from calib.core.fitting.terms.kind_model import KindModel
 from calib.core.numerics.mixed_model import MixedModel, SolvedModel
@@ -250,12 +249,11 @@ class _TermModel:
         """Return the uncertainty that the sizes leave in these terms and in the others; None if they leave none."""
         fitted = np.append(self._is_fitted, np.ones(len(self._smallest_logs) - len(self._families), dtype=bool))
         logs = np.where(fitted, self._chosen_model.logs, self._smallest_logs)
-        tried = tuple(section for candidate in self._kinds for section in candidate.sections)
-        others = missing_terms(self._fit.robot.with_terms(fitted_terms), tried)
         curves = [kind.term for kind in self._kinds if kind.is_curve_in(self._kind_model.robot)]
         sized = np.isin(np.arange(len(logs)), np.flatnonzero(np.isin(self._terms, curves)))
         draws = np.where(fitted & sized, logs, self._draws)  # a fit finds the sizes of curves again
-        return self._kind_model.undecided(MixedModel.from_rows(self._rows, _SHORTEST), logs, draws, others)
+        model, robot = MixedModel.from_rows(self._rows, _SHORTEST), self._fit.robot.with_terms(fitted_terms)
+        return self._kind_model.undecided(model, logs, draws, robot)
 
 
 def _without_cache(at: SolvedModel) -> SolvedModel:

@@ -5,14 +5,9 @@ import pytest
 
 import calib
 from tests.project import write_table
-from tests.small_robots import ARM_YAML, small_arm, write_arm
+from tests.small_robots import ARM_YAML, write_arm
 
 Q = np.array([[0.1, 0.2, 0.3], [0.2, 0.3, 0.4], [0.3, 0.4, 0.5]])
-
-
-@pytest.fixture
-def arm(tmp_path):
-    return small_arm(tmp_path)
 
 
 def test_arrays_are_named_by_row_and_poses_stay_what_they_are(arm):

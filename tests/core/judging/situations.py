@@ -16,13 +16,11 @@ import calib
 from calib.core.data.measurements import with_points
 from calib.core.judging.reasons import Code, Reason
 from calib.core.judging.rules_model import check_assembly
-from calib.core.robots.robot_files import urdf_of_origins
 from calib.core.robots.terms.terms import parse_terms
 from tests.core.calibrating import test_fit_files as warm
 from tests.core.instruments import test_kind_pixel as pixel
 from tests.core.instruments.test_kind_pose import YAML as POSES
 from tests.core.judging import test_misread_numbers as misread
-from tests.exporting.read_back import tip_of, urdf_links
 from tests.fleets import fleet_figures
 from tests.project import EXAMPLES
 from tests.six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, noisy, write_six_axis
@@ -282,16 +280,9 @@ def _(shop):
     return Situation(*fits, r"RMS ([\d.]+) mm after, ([\d.]+) mm before", (after, before))
 
 
-def true_tip(shop):
-    """The arm of the tests of files, off by a millimetre or so, by Pinocchio."""
-    true = shop.prior.with_parameters({"j2.x": 0.0512, "j3.z": 0.5991, "j4.ry": 2e-3, "j5.z": 1e-3})
-    tip = tip_of(urdf_links(urdf_of_origins(true)), true)
-    return lambda q: (tip(q) @ [0.05, 0.02, 0.1, 1.0])[:, :3]
-
-
 @situation(Code.FILE_WITHHELD)
 def _(shop):
-    robot, used, cold = warm.warm_and_cold(shop.new(), true_tip(shop))
+    robot, used, cold = warm.warm_and_cold(shop.new(), warm.true_tip_of(shop.prior))
     held = used.subset(np.arange(40, 60))
     there = calib.fit(robot, used.subset(np.arange(40)), validation=cold)
     return Situation(there, calib.fit(robot, used.subset(np.arange(40)), validation=held), "are not written: ")
@@ -299,7 +290,7 @@ def _(shop):
 
 @situation(Code.FILE_HOLDS_LESS)
 def _(shop):
-    tip, gains = true_tip(shop), shop.robot(YAML + FREE + "  - {joint: all, term: gain, sigma: 0.01}\n")
+    tip, gains = warm.true_tip_of(shop.prior), shop.robot(YAML + FREE + "  - {joint: all, term: gain, sigma: 0.01}\n")
     used, other = (warm.measured(gains, tip, n, seed) for n, seed in ((60, 1), (40, 2)))
     there, gone = (calib.fit(robot, used, validation=other) for robot in (gains, shop.prior))
     nominal, whole = (rms(robot.positions(other.joints) - other.points(gains)) for robot in (shop.prior, there.robot))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from tests.viz.viz_examples import measurements, medrue_fit, medrue_robot, pose_table, spoiled
+from tests.viz.viz_examples import measurements, medrue_fit, medrue_robot, pose_table, spoiled, spoiled_fit
 from viz.pose_sources import from_fit, from_measurements
 from viz.poses import empty
 
@@ -53,23 +53,18 @@ def test_the_spread_of_predictions_agrees_with_random_parameters(fit):
 
 
 def test_a_wrong_reading_is_marked_where_it_is():
-    wrong = spoiled(measurements(np.arange(0, 420, 5)))
-    table = from_fit(calib.fit(medrue_robot(), wrong))
+    table = from_fit(spoiled_fit())
     assert np.flatnonzero(table.outlier).tolist() == [10]
     assert set(table.group) == {"identification"}
 
 
 def test_outliers_that_were_left_out_stay_in_the_table():
-    wrong = spoiled(measurements(np.arange(0, 420, 5)))
-    fit = calib.fit(medrue_robot(), wrong, exclude_outliers=True)
-    table = from_fit(fit)
+    table = from_fit(spoiled_fit(exclude_outliers=True))
     assert table.group.count("identification") == 83
     row = table.group.index("left out")
     assert table.outlier[row]
     assert table.labels[row] == "50"
-    np.testing.assert_allclose(
-        table.error("after")[row, 2], -1e-3, atol=2e-4
-    )  # noise and uncertainty of the prediction
+    assert table.error("after")[row, 2] == pytest.approx(-1e-3, abs=2e-4)  # noise and uncertainty of the prediction
 
 
 def test_residuals_over_an_unknown_sigma_are_unknown():

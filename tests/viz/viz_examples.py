@@ -60,6 +60,12 @@ def saved_scene(fit, folder):
     return gather(fit.nominal, folder / "out").scene
 
 
+LOST_MESH = """<robot name="arm">
+ <link name="root"><visual><geometry><mesh filename="lost.stl"/></geometry></visual></link><link name="tip"/>
+ <joint name="a" type="revolute"><parent link="root"/><child link="tip"/><origin xyz="1 0 0"/><axis xyz="0 1 0"/>
+ <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
 def outside_addresses(html):
     """Where a page would ask others for something."""
     shown = re.sub(r"<script.*?</script>", "", html, flags=re.S)

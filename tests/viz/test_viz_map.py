@@ -22,12 +22,7 @@ def arm():
 
 def test_error_and_uncertainty_are_those_of_the_engine(arm):
     fit, table, result = arm
-    q = np.concatenate(
-        [
-            calib.sample(fit.robot, 30, seed=SEED).joints,
-            calib.sample(fit.robot, 30, seed=SEED, within=table.joints).joints,
-        ]
-    )
+    q = np.concatenate([calib.sample(fit.robot, 30, seed=SEED, within=of).joints for of in (None, table.joints)])
     after, before = fit.robot.positions(q)[:, 0], fit.placed.positions(q)[:, 0]
     np.testing.assert_allclose(result.places, after, atol=1e-12)
     np.testing.assert_allclose(result.error, np.linalg.norm(before - after, axis=1), atol=1e-12)

@@ -9,6 +9,7 @@ import pytest
 import calib
 import viz
 from tests.browser.browser_tab import Tab, slide
+from tests.viz.viz_examples import medrue_fit
 from viz.bodies import posed_robot
 from viz.scene import build_scene
 from viz.viewer_page import scene_page
@@ -18,9 +19,8 @@ PART = "v.stage.marks.uniforms.state.value"
 
 @pytest.fixture(scope="module")
 def kept_moving(chromium):
-    tab = Tab(chromium, reduced_motion="no-preference")
-    yield tab
-    tab.context.close()
+    with Tab(chromium, reduced_motion="no-preference") as tab:
+        yield tab
 
 
 @pytest.fixture
@@ -127,8 +127,6 @@ def test_nothing_plays_by_itself_and_less_motion_begins_slowly(tab, moving):
 
 @pytest.fixture(scope="module")
 def robots():
-    from tests.viz.viz_examples import medrue_fit
-
     fit = medrue_fit()
     return {"solid": fit.robot, "ghost": fit.placed}
 

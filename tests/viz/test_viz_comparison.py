@@ -88,9 +88,8 @@ def test_it_asks_nobody_and_escapes_names(comparison):
 
 
 def test_three_results_have_three_columns(comparison):
-    differences = tuple(
-        Difference(each.name, (*each.rows, each.rows[0]), (*each.p_values, 0.9)) for each in comparison.differences
-    )
+    old = comparison.differences
+    differences = tuple(Difference(each.name, (*each.rows, each.rows[0]), (*each.p_values, 0.9)) for each in old)
     pairs = (*comparison.pairs, Pair(comparison.names, (), (), 0.5))
     three = ResultComparison((*comparison.results, comparison.results[-1]), differences, pairs, ())
     html = comparison_page(three, created=NOON).html

@@ -53,10 +53,6 @@ def messages(viewer):
     return read
 
 
-def test_the_address_is_on_this_computer(viewer):
-    assert viewer.url.startswith("http://127.0.0.1:")
-
-
 def test_a_pose_is_shown_by_its_row(viewer, messages):
     viewer.show_pose(7)
     assert messages() == ("pose", "7")

@@ -34,6 +34,11 @@ def say(monkeypatch):
     return verdict
 
 
+def advice(fit, typed=None, out="out", data="d.csv", **options):
+    """What a terminal says after a fit of `a.yaml`."""
+    return advice_after_fit(fit, "a.yaml", (data,), out, typed or {}, **options)
+
+
 @pytest.mark.parametrize(
     ("grade", "codes", "expected"),
     [
@@ -48,35 +53,31 @@ def say(monkeypatch):
 )
 def test_the_first_reason_that_a_command_answers_says_which(fit, say, grade, codes, expected):
     say(grade, *codes)
-    meaning, following = advice_after_fit(fit, "a.yaml", ("my data.csv",), "out", {}).splitlines()
+    meaning, following = advice(fit, data="my data.csv").splitlines()
     assert grade in meaning
     assert following.startswith("Next: ")
     assert following.partition(": calib ")[2].startswith(expected.removeprefix("calib "))
-    unwritten = advice_after_fit(fit, "a.yaml", ("my data.csv",), "out", {}, written=False)
-    assert ("with --out out, then" in unwritten) is ("--result out" in expected)
+    assert ("with --out out, then" in advice(fit, written=False)) is ("--result out" in expected)
 
 
 def test_joint_terms_are_not_offered_where_poses_are_too_few_to_choose_them(robot, data, say):
     fit = calib.fit(robot, data[np.arange(15)])
     say("FAIL", "systematic")
-    assert advice_after_fit(fit, "a.yaml", ("d.csv",), "out", {}).endswith(": calib check a.yaml d.csv")
+    assert advice(fit).endswith(": calib check a.yaml d.csv")
 
 
 def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data, say):
     used, held = data.split(validation=0.25, seed=1)
     validated = calib.fit(robot, used, validation=held)
     say("PASS")
-    assert advice_after_fit(validated, "a.yaml", ("d.csv",), "my out", {}).splitlines()[1] == (
-        "Next: use my out/calibrated.urdf, or correct a program by it: calib compensate 'my out'"
-        " program.csv --out compensated.csv"
-    )
-    assert "Next: fit again with --out out, then use out/calibrated.urdf" in advice_after_fit(
-        validated, "a.yaml", ("d.csv",), "out", {}, written=False
-    )
+    use = "Next: use my out/calibrated.urdf, or correct a program by it: calib compensate 'my out' program.csv --out"
+    assert advice(validated, out="my out").splitlines()[1] == f"{use} compensated.csv"
+    unwritten = "Next: fit again with --out out, then use out/calibrated.urdf"
+    assert unwritten in advice(validated, written=False)
     say("PASS", "nothing_to_correct")
-    assert advice_after_fit(validated, "a.yaml", ("d.csv",), "out", {}).endswith(": calib verify out measured.csv")
+    assert advice(validated).endswith(": calib verify out measured.csv")
     say("PASS", "nothing_to_correct", "systematic")  # an error is left that no parameter describes
-    assert "--terms auto" in advice_after_fit(validated, "a.yaml", ("d.csv",), "out", {})
+    assert "--terms auto" in advice(validated)
 
 
 def test_a_printer_gets_the_settings_of_its_firmware(say, tmp_path, run_calib):
@@ -84,17 +85,15 @@ def test_a_printer_gets_the_settings_of_its_firmware(say, tmp_path, run_calib):
     printer = calib.load(tmp_path / "printer.yaml")
     fit = calib.fit(printer, tmp_path / "printer.csv", validation=tmp_path / "printer.csv")
     say("PASS")
-    assert advice_after_fit(fit, "p.yaml", ("d.csv",), "out", {}).endswith(
-        ": calib export out --format klipper --out settings.cfg"
-    )
+    assert advice(fit).endswith(": calib export out --format klipper --out settings.cfg")
 
 
 def test_a_result_that_no_urdf_can_hold_is_used_by_the_whole_model(robot, data, say, monkeypatch):
     validated = calib.fit(robot, data, validation=0.25)
     monkeypatch.setattr("calib.core.judging.next_step.why_no_origins", lambda fit: "its joint terms matter")
     say("PASS")
-    assert ": calib compensate out program.csv --out" in advice_after_fit(validated, "a.yaml", ("d.csv",), "out", {})
-    assert "urdf" not in advice_after_fit(validated, "a.yaml", ("d.csv",), "out", {})
+    assert ": calib compensate out program.csv --out" in advice(validated)
+    assert "urdf" not in advice(validated)
 
 
 def test_a_check_leads_to_poses_to_measure_or_to_a_fit(robot, data):
@@ -129,26 +128,21 @@ def test_what_is_offered_can_be_typed_as_it_stands(run_calib, tmp_path):
 def test_a_noise_that_the_next_step_is_to_change_is_not_typed_again(fit, say, monkeypatch):
     typed = {"--sigma-mm": ("0.3",), "--seed": ("3",), "--exclude-outliers": ()}
     monkeypatch.setattr("calib.core.judging.next_step.judge", lambda fit: Verdict("CHECK", (SMALLER_NOISE,)))
-    assert "0.3" not in advice_after_fit(fit, "a.yaml", ("d.csv",), "out", typed)
+    assert "0.3" not in advice(fit, typed)
     say("CHECK", "systematic")
-    assert advice_after_fit(fit, "a.yaml", ("d.csv",), "out", typed).endswith(
-        " calib fit a.yaml d.csv --terms auto --sigma-mm 0.3 --seed 3 --exclude-outliers --out out-2"
-    )
+    again = " calib fit a.yaml d.csv --terms auto --sigma-mm 0.3 --seed 3 --exclude-outliers --out out-2"
+    assert advice(fit, typed).endswith(again)
     say("CHECK", "at_bounds", "joint_never_moved")
-    assert advice_after_fit(fit, "a.yaml", ("d.csv",), "out", typed).endswith(
-        ": calib check a.yaml d.csv --sigma-mm 0.3"
-    )
+    assert advice(fit, typed).endswith(": calib check a.yaml d.csv --sigma-mm 0.3")
 
 
 def test_a_check_hands_on_what_the_next_command_knows(robot, data):
     typed = {"--sigma-mm": ("0.3",), "--seed": ("3",), "--task": ("my task.csv",)}
     assessment, poses = calib.check(robot, data), calib.as_poses(robot, data.joints)
-    assert " calib fit a.yaml d.csv --sigma-mm 0.3 --validate 0.25" in advice_after_check(
-        assessment, "a.yaml", data, ("d.csv",), typed
-    )
-    assert advice_after_check(assessment, "a.yaml", poses, ("d.csv",), typed).endswith(
-        " calib select a.yaml d.csv --count 40 --sigma-mm 0.3 --task 'my task.csv' --out chosen.csv"
-    )
+    to_fit, to_select = (advice_after_check(assessment, "a.yaml", of, ("d.csv",), typed) for of in (data, poses))
+    assert " calib fit a.yaml d.csv --sigma-mm 0.3 --validate 0.25" in to_fit
+    chosen = " calib select a.yaml d.csv --count 40 --sigma-mm 0.3 --task 'my task.csv' --out chosen.csv"
+    assert to_select.endswith(chosen)
     assert advice_after_select("a.yaml", "b.csv", typed).endswith("--candidates b.csv --sigma-mm 0.3")
 
 
@@ -171,7 +165,7 @@ def test_a_tracker_that_moved_half_way_is_not_answered_by_joint_terms(robot, dat
     first = moved.verdict.reasons[0]
     assert (first.grade, "or base had moved" in first.text) == ("CHECK", True)
     assert "describe setups" in first.text
-    assert "--terms" not in advice_after_fit(moved, "a.yaml", ["b.csv"], "out", {})
+    assert "--terms" not in advice(moved)
 
 
 def test_result_json_and_the_terminal_offer_the_same_fit_with_the_options_that_were_typed(run_calib, tmp_path):

@@ -125,10 +125,8 @@ def test_several_targets_are_kept_in_the_order_of_the_description(tmp_path, read
 
 def test_what_is_written_reads_back(arm, read):
     generator = np.random.default_rng(5)
-    poses = read(
-        "turn,slide,wrist\n" + "\n".join(f"{a},{b},{c}" for a, b, c in generator.uniform(0, 1, (20, 3))),
-        reader=read_poses,
-    )
+    rows = "\n".join(f"{a},{b},{c}" for a, b, c in generator.uniform(0, 1, (20, 3)))
+    poses = read("turn,slide,wrist\n" + rows, reader=read_poses)
     positions = arm.positions(poses.joints)
     data = read(format_positions(arm, poses, positions, ("a comment",)))
     assert data.names == poses.names

@@ -93,12 +93,9 @@ def test_columns_that_are_not_needed_may_be_called_anything(robot, data):
 
 def test_messages_call_columns_as_the_file_does(robot, data):
     """A guessed name, and one of the description; the file has neither of the robot's."""
-    named = renamed(
-        data, {f"joint_{k} [deg]": f"J{k} [deg]" for k in range(1, 7)} | {"reflector_x [mm]": "reflektor_x"}
-    )
-    with pytest.raises(
-        calib.DataError, match=r"no column 'reflector_x'; did you mean 'reflektor_x'\? The file.* J1, J2"
-    ):
+    named = renamed(data, foreign("J{} [deg]", "reflector_{} [mm]") | {"reflector_x [mm]": "reflektor_x"})
+    nearest = r"no column 'reflector_x'; did you mean 'reflektor_x'\? The file.* J1, J2"
+    with pytest.raises(calib.DataError, match=nearest):
         calib.read_measurements(named, robot)
     described = robot.description.model_copy(update={"columns": {"height": "reflector_z [mm]"}})
     other = replace(robot, description=described)

@@ -151,16 +151,8 @@ def test_links_that_are_known_loosely_say_from_which_scale_on_lengths_are_doubte
     assert ("lengths_scaled" in [reason.code for reason in verdict.reasons]) == (grade == "CHECK")
 
 
-BARS = """\
-base: {frame: base_link}
-targets: {reflector: {frame: flange, xyz: [20 mm, 0 mm, 50 mm], position: unknown, sigma: 5 mm}}
-instruments:
-  left: {kind: distance, target: reflector, end: {frame: base_link, position: unknown, xyz: [1, 0.8, 0.2]}}
-  right: {kind: distance, target: reflector, end: {frame: base_link, position: unknown, xyz: [1, -0.9, 0.3]}}
-  above: {kind: distance, target: reflector, end: {frame: base_link, position: unknown, xyz: [0.3, 0.1, 1.6]}}
-parametrisation:
-"""
-ALL_BARS = ("left", "right", "above")
+ENDS = {"left": [1, 0.8, 0.2], "right": [1, -0.9, 0.3], "above": [0.3, 0.1, 1.6]}
+BAR = "  {}: {{kind: distance, target: reflector, end: {{frame: base_link, position: unknown, xyz: {}}}}}\n"
 
 
 @pytest.mark.quick(2)
@@ -171,22 +163,19 @@ ALL_BARS = ("left", "right", "above")
         (("left",), 1.0, 10e-3, "CHECK", r"readings of left are off by \+(9.[5-9]|10.[0-4])\d* mm"),
         ((), 1.0, 0.0, "PASS", r"^"),
         (("left",), 1.001, 0.0, "CHECK", r"readings of left are \+(99\d|100\d) ppm too large"),
-        (ALL_BARS, 1.01, 0.0, "CHECK", r"all measured lengths are (1|0.9\d) % longer"),
-        (ALL_BARS, 1.0, 10e-3, "CHECK", r"readings of (left|right|above) are off by"),
+        (ENDS, 1.01, 0.0, "CHECK", r"all measured lengths are (1|0.9\d) % longer"),
+        (ENDS, 1.0, 10e-3, "CHECK", r"readings of (left|right|above) are off by"),
     ],
 )
 def test_a_ballbar_that_reads_wrong_is_no_noise(tmp_path, wrong, scale, offset, grade, words):
     """No noise is stated: a wrong bar would be weighed down, by the noise that is found of it."""
-    text = (EXAMPLES / "arm.yaml").read_text().replace("arm.urdf", str(EXAMPLES / "arm.urdf"))
-    head, rest = text.split("base: ")[0], text.split("parametrisation:\n")[1]
-    (tmp_path / "robot.yaml").write_text(head + BARS + rest.replace("sigma: 0.03 mm", ""))
-    robot, rng = calib.load(tmp_path / "robot.yaml"), np.random.default_rng(7)
+    robot = described(tmp_path, "".join(BAR.format(*end) for end in ENDS.items()), turned="")
+    rng = np.random.default_rng(7)
     values = {p.name: p.nominal_si + 0.7 * p.sigma_si * rng.normal() for p in robot.parameters if not p.placement}
     q = rng.uniform(*np.radians([[-80, -40, -10, -120, -90, -170], [80, 80, 100, 120, 90, 170]]), (80, 6))
     true = robot.with_parameters({name: values[name] for name in values if name.startswith("joint")})
     points = true.positions(q)[:, 0]
-    ends = {"left": [1, 0.8, 0.2], "right": [1, -0.9, 0.3], "above": [0.3, 0.1, 1.6]}
-    bars = {name: np.linalg.norm(points - end, axis=1) + 1e-5 * rng.standard_normal(80) for name, end in ends.items()}
+    bars = {name: np.linalg.norm(points - end, axis=1) + 1e-5 * rng.standard_normal(80) for name, end in ENDS.items()}
     read = {name: (scale * bar + offset if name in wrong else bar)[:, None] for name, bar in bars.items()}
     verdict = calib.fit(robot, calib.as_measurements(robot, q, read)).verdict
     assert verdict.grade == grade, verdict
@@ -247,18 +236,15 @@ ARTEFACT = """\
 """
 
 
-def described(folder, entries, base="base_link", noise=True, size=1.0):
+def described(folder, entries, noise=True, size=1.0, turned=", orientation: unknown, sigma_angle: 50 mrad"):
     """The example's arm with other instruments, whose artefact is this many times as large."""
     text = (EXAMPLES / "arm.yaml").read_text().replace("arm.urdf", str(EXAMPLES / "arm.urdf"))
     head, rest = text.split("base: ")[0], text.split("parametrisation:\n")[1].replace("sigma: 0.03 mm", "")
-    entries = entries.replace(" B mm", f" {200 * size} mm").replace("[B mm", f"[{200 * size} mm")
-    entries = entries.replace("C mm", f"{150 * size} mm")
+    entries = re.sub(r"\bB mm", f"{200 * size} mm", entries).replace("C mm", f"{150 * size} mm")
     entries = entries.replace("NOISE", "sigma") if noise else re.sub(r", NOISE: [.0-9]+( mm)?", "", entries)
-    target = "targets: {reflector: {frame: flange, xyz: [20 mm, 30 mm, 50 mm], position: unknown, sigma: 5 mm"
-    turned = "" if "touch" in entries else ", orientation: unknown, sigma_angle: 50 mrad"
-    (folder / "robot.yaml").write_text(
-        f"{head}base: {{frame: {base}}}\n{target}{turned}}}}}\ninstruments:\n{entries}parametrisation:\n{rest}"
-    )
+    target = "{frame: flange, xyz: [20 mm, 30 mm, 50 mm], position: unknown, sigma: 5 mm"
+    places = f"base: {{frame: base_link}}\ntargets: {{reflector: {target}{'' if 'touch' in entries else turned}}}}}\n"
+    (folder / "robot.yaml").write_text(f"{head}{places}instruments:\n{entries}parametrisation:\n{rest}")
     return calib.load(folder / "robot.yaml")
 
 

@@ -64,10 +64,8 @@ def fitted(tmp_path_factory):
     yaml = ARM_YAML + "held: [turn.x]\nsigma: 20 um\n"
     arm = calib.load(write_arm(tmp_path_factory.mktemp("arm"), yaml))
     generator = np.random.default_rng(21)
-    off = np.array(
-        [p.sigma_si * generator.normal() * free for p, free in zip(arm.parameters, arm.is_free, strict=True)]
-    )
-    truth = arm.with_parameters(arm.values + off)
+    off = np.array([parameter.sigma_si * generator.normal() for parameter in arm.parameters])
+    truth = arm.with_parameters(arm.values + off * arm.is_free)
     return calib.fit(arm, measured(truth, 30, 22), validation=measured(truth, 12, 23))
 
 
@@ -150,9 +148,8 @@ def test_the_calibrated_urdf_differs_in_origins_only_and_gives_the_same_robot(fo
 def test_residuals_are_predicted_minus_measured_of_every_pose(folder, fitted):
     table = read_table(folder / "residuals.csv")
     assert table.text("set") == ["identification"] * 30 + ["validation"] * 12
-    joints = np.stack(
-        [table.column(name, "length" if name == "slide" else "angle") for name in fitted.robot.joint_names], 1
-    )
+    dimensions = {"turn": "angle", "slide": "length", "wrist": "angle"}
+    joints = np.stack([table.column(*column) for column in dimensions.items()], 1)
     measured_at = np.stack([table.column(f"measured_{axis}", "length") for axis in "xyz"], 1)
     for state, robot in (("before", fitted.nominal), ("after", fitted.robot)):
         error = np.stack([table.column(f"error_{state}_{axis}", "length") for axis in "xyz"], 1)

@@ -56,11 +56,8 @@ def test_figures_are_svg_and_the_same_twice(assessment, selection):
     assert b"mathdefault" not in first["accuracy.svg"]
 
 
-def test_the_engine_finds_them_by_entry_point(selection):
+def test_the_engine_finds_them_by_entry_point_and_says_where_nothing_draws(monkeypatch, selection):
     assert set(figures(selection)) == {"index.svg"}
-
-
-def test_without_anything_that_draws_it_is_said(monkeypatch, selection):
     monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
     with pytest.raises(calib.InputError, match="nothing that draws is installed"):
         figures(selection)

@@ -124,9 +124,9 @@ def test_outliers_that_were_left_out_are_listed_and_both_results_shown():
 
 @pytest.mark.quick(0)
 def test_cross_validation_is_shown_and_judged_by():
-    html = undrawn(calib.fit(medrue_robot(), measurements(range(0, 420, 5)), folds=3))
-    assert "left out in turn, after 84" in words_of(html)
-    assert "84 poses (left out in turn)" in words_of(html)[:700]
+    words = words_of(undrawn(calib.fit(medrue_robot(), measurements(range(0, 420, 5)), folds=3)))
+    assert "left out in turn, after 84" in words
+    assert "84 poses (left out in turn)" in words[:700]
 
 
 def test_provenance_names_versions_files_command_and_seed(html, fit):
@@ -137,9 +137,8 @@ def test_provenance_names_versions_files_command_and_seed(html, fit):
     assert re.search(r"Seed</th><td>0, of every random choice", html)
 
 
-def test_a_fit_from_python_says_so_and_has_its_seed():
-    fit = calib.fit(medrue_robot(), measurements(range(0, 420, 5)), seed=12)
-    html = undrawn(fit)
+def test_a_fit_from_python_says_so_and_has_its_seed(fit):
+    html = undrawn(dataclasses.replace(fit, seed=12))
     assert "made by a program in Python" in html
     assert re.search(r"Seed</th><td>12, of every random choice of the fit</td>", html)
 
@@ -179,19 +178,11 @@ def test_tables_have_headers_and_the_page_a_language(html):
     assert html.count("Numbers of this plot") == 9
 
 
-def test_the_same_fit_gives_the_same_report(fit, html):
+def test_the_same_fit_gives_the_same_report_which_is_reached_from_the_package(fit, html, tmp_path):
     assert report_page(fit, command=COMMAND, created=NOON).html == html
-
-
-def test_the_report_is_reached_from_the_package(fit, tmp_path):
     for _ in range(2):  # a module of the same name must not hide the function
         path = viz.report(fit).save(tmp_path / "report.html")
     assert "Calibration report: medrue" in path.read_text(encoding="utf-8")
-
-
-def test_uncertainty_of_predictions_is_stated(html, fit):
-    spread = 1e3 * np.linalg.norm(from_fit(fit).spread[84:], axis=1)  # of the validation poses
-    assert f"{millimetres(spread.mean())} mm on average" in words_of(html)
 
 
 @pytest.mark.parametrize(
@@ -214,6 +205,8 @@ def test_page_one_says_where_it_is_worst_and_was_measured_and_the_annex_how_sure
     row = int(np.argmax(np.linalg.norm(validation.after["tool"], axis=1)))
     assert f"pose {validation.data.names[row]}, at x" in first
     assert millimetres(fit.validation_uncertainty.summary()["max"]) in annex
+    spread = 1e3 * np.linalg.norm(from_fit(fit).spread[84:], axis=1)  # of the validation poses
+    assert f"{millimetres(spread.mean())} mm on average" in annex
     assert f"noise of one reading {millimetres(1e3 * fit.sigma)} mm per axis (" in annex
     assert "degrees of freedom" not in first
     assert "rank" not in first.lower()
@@ -383,8 +376,8 @@ def test_the_page_names_the_file_to_load(fit, monkeypatch, grade, start, end):
 
 
 def test_squares_of_the_workspace_lie_around_their_places():
-    x, y, mean, _ = _cells(np.array([500.0, 700.0]), np.array([100.0, 100.0]), np.array([1.0, 3.0]))
-    assert (x.tolist(), y.tolist(), mean.tolist()) == ([500.0, 700.0], [100.0, 100.0], [1.0, 3.0])
+    columns = [[500.0, 700.0], [100.0, 100.0], [1.0, 3.0]]
+    assert [column.tolist() for column in _cells(*map(np.array, columns))[:3]] == columns
 
 
 def test_causes_of_the_error_fall_from_the_error_before_to_zero(fit):
@@ -443,13 +436,8 @@ def test_joints_are_ranked_by_what_they_make_of_the_error(fit):
 
 def test_readings_show_the_error_that_was_fitted_to_a_joint(tmp_path):
     """Simulated: a gain alone. The curve is the true one, and what readings show scatters about it."""
-    nominal = calib.load(write_arm(tmp_path, ARM_YAML + "  - {joint: turn, term: gain, sigma: 2 mrad}\nsigma: 20 um\n"))
-    true = nominal.with_parameters({"turn.gain": 2e-3})
-    q = np.random.default_rng(3).uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (80, 3))
-    noise = np.random.default_rng(4).normal(0, 2e-5, (80, 1, 3))
-    fit = calib.fit(nominal, calib.as_measurements(nominal, q, true.positions(q) + noise))
-    joints = joints_of(nominal)
-    (panel,) = corrections(fit, joints).panels
+    fit = fit_with_term(tmp_path, "gain, sigma: 2 mrad", gain=2e-3)
+    (panel,) = corrections(fit, joints_of(fit.nominal)).panels
     shown, fitted = panel["layers"]
     assert (shown["kind"], fitted["kind"]) == ("points", "line")
     expected = 2e-3 * np.array(fitted["x"])  # [deg], of a command in deg
@@ -461,7 +449,7 @@ def test_readings_show_the_error_that_was_fitted_to_a_joint(tmp_path):
 
 
 def test_the_few_largest_errors_do_not_stretch_the_colours_over_the_workspace(fit):
-    (chart,) = (chart for chart in error_charts(fit, scene_of_fit(fit)) if chart.name == "planes")
+    chart = charts_of(fit)[0]["planes"]
     sizes = 1e3 * np.linalg.norm(np.vstack([fit.identification.after["tool"], fit.validation.after["tool"]]), axis=1)
     assert f"({np.quantile(sizes, 0.95):.3g} mm and more)" in chart.text
     painted = [layer["colours"] for panel in chart.panels for layer in panel["layers"] if layer["kind"] == "points"]
@@ -494,11 +482,17 @@ def test_the_forest_has_every_free_parameter_and_its_interval_in_expected_deviat
     assert "d31" not in shown  # held
 
 
+def fit_with_term(folder, term, **truth):
+    """A fit of the small arm with a term of its first joint, whose true coefficients are these."""
+    robot = calib.load(write_arm(folder, f"{ARM_YAML}  - {{joint: turn, term: {term}}}\nsigma: 20 um\n"))
+    true = robot.with_parameters({f"turn.{name}": value for name, value in truth.items()})
+    q = np.random.default_rng(3).uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (80, 3))
+    noise = np.random.default_rng(4).normal(0, 2e-5, (80, 1, 3))
+    return calib.fit(robot, calib.as_measurements(robot, q, true.positions(q) + noise))
+
+
 def test_coefficients_of_curves_are_no_lines_of_the_forest(tmp_path):
-    robot = calib.load(write_arm(tmp_path, ARM_YAML + "  - {joint: turn, term: curve, sigma: 1 mrad}\n"))
-    q = np.random.default_rng(3).uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (40, 3))
-    noise = np.random.default_rng(4).normal(0, 2e-5, (40, 1, 3))
-    fit = calib.fit(robot, calib.as_measurements(robot, q, robot.positions(q) + noise))
+    fit = fit_with_term(tmp_path, "curve, sigma: 1 mrad")
     names = [name for panel in parameters(fit).panels for name in panel["y"]["names"]]
     assert any(name.startswith("turn.curve") for name in fit.free_names)
     assert not any("curve" in name for name in names)
@@ -524,10 +518,8 @@ def test_a_column_of_temperatures_is_the_record_where_nothing_else_is_said(fit):
 @pytest.mark.quick(0)
 def test_what_files_are_worth_stands_in_the_verdict_where_they_hold_less(tmp_path, html):
     arm = calib.load(write_six_axis(tmp_path, YAML + FREE + "  - {joint: all, term: gain, sigma: 0.01}\n"))
-    q = joints(60)
-    plain = arm.with_terms(())
-    points = plain.positions(1.01 * q) + 2e-5 * np.random.default_rng(1).standard_normal((60, 1, 3))
-    fit = calib.fit(arm, calib.as_measurements(arm, q, points))
+    noise = 2e-5 * np.random.default_rng(1).standard_normal((60, 1, 3))
+    fit = calib.fit(arm, joints(60), arm.with_terms(()).positions(1.01 * joints(60)) + noise)
     page = words_of(undrawn(fit))
     start, table = page.index("What files are worth"), page.index("Accuracy before and after")
     assert page.index("Annex:") < start < table

@@ -15,11 +15,6 @@ from tests.six_axis_arm import FREE, YAML, joints, measurements, noisy, write_si
 SIGMA = 4e-5
 
 
-@pytest.fixture(scope="module")
-def truth(arm):
-    return arm.with_parameters({"j2.x": 0.0512, "j3.z": 0.5991, "j4.ry": 2e-3, "j5.z": 1e-3})
-
-
 def sagging(arm, truth, q, seed, *, by=1e-3):
     """Read with joints that follow a wave, which the model leaves out."""
     actual = q + by * np.sin(3 * q)

@@ -222,10 +222,9 @@ def test_a_joint_that_always_moves_the_same_way_has_no_direction_to_compare(arm)
     assert not any(pattern.kind == "approach" for pattern in again.patterns)
 
 
-def test_nothing_is_put_down_to_a_joint_that_never_moved(tmp_path):
+def test_nothing_is_put_down_to_a_joint_that_never_moved(prior_arm):
     """The tracker drifts; joint 1, which stood still, moves the ball in much the same way."""
-    robot = calib.load(write_six_axis(tmp_path, YAML + FREE))
-    q = joints(80)
+    robot, q = prior_arm, joints(80)
     q[:, 0] = 0.2
     drift = np.linspace(-5, 5, 80)[:, None, None] * SIGMA * np.array([0.0, 1.0, 0.0])
     noise = SIGMA * np.random.default_rng(3).standard_normal((80, 1, 3))

@@ -24,21 +24,6 @@ from tests.project import EXAMPLES, copied
 from tests.six_axis_arm import FREE, YAML, joints, measurements, noisy, write_six_axis
 
 
-@pytest.fixture
-def truth(shop):
-    return shop.truth
-
-
-@pytest.fixture
-def good(shop):
-    return shop.good
-
-
-@pytest.fixture
-def prior_arm(shop):
-    return shop.prior
-
-
 def reason(fit, code):
     matching = [reason for reason in fit.verdict.reasons if reason.code == code]
     assert matching, [reason.text for reason in fit.verdict.reasons]
@@ -52,7 +37,8 @@ def remark(fit, code):
     return verdict_reason
 
 
-def test_a_good_fit_passes_without_reasons(good):
+def test_a_good_fit_passes_without_reasons(shop):
+    good = shop.good
     assert good.verdict.grade == "PASS"
     assert good.verdict.reasons == ()
     said = good.verdict.to_dict()
@@ -75,8 +61,8 @@ def test_a_good_fit_passes_without_reasons(good):
         ),
     ],
 )
-def test_not_converged_fails(good, end, words):
-    failed = replace(good, convergence=end)
+def test_not_converged_fails(shop, end, words):
+    failed = replace(shop.good, convergence=end)
     assert failed.verdict.grade == "FAIL"
     assert words in reason(failed, "not_converged").text
     assert failed.verdict.reasons[0].grade == "FAIL"

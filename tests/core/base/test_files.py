@@ -17,7 +17,6 @@ from calib.core.base.own_files import MANIFEST
 from tests.project import ROOT
 from tests.signed_files import plain
 
-needs_dev_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 RESULT = {"result.json": b"{}", "parameters.csv": b"parameter,value,unit\n"}
 
 
@@ -89,7 +88,7 @@ def test_files_and_folders_are_refused_where_even_root_cannot_write_them(tmp_pat
             assert tree(tmp_path) == before
 
 
-@needs_dev_full
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 def test_a_device_is_written_to_and_never_replaced():
     for path in ("/dev/null", "/dev/stderr"):
         check_file(path)

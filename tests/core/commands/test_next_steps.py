@@ -14,8 +14,6 @@ from calib.planning.assessment_text import advice_after_check
 from calib.planning.selection_text import advice_after_select
 from tests.project import EXAMPLES
 
-SMALLER_NOISE = Code.NOISE.says("", answer=Answer.STATE_NOISE)
-
 
 @pytest.fixture(scope="module")
 def fit(robot, data):
@@ -127,7 +125,8 @@ def test_what_is_offered_can_be_typed_as_it_stands(run_calib, tmp_path):
 
 def test_a_noise_that_the_next_step_is_to_change_is_not_typed_again(fit, say, monkeypatch):
     typed = {"--sigma-mm": ("0.3",), "--seed": ("3",), "--exclude-outliers": ()}
-    monkeypatch.setattr("calib.core.judging.next_step.judge", lambda fit: Verdict("CHECK", (SMALLER_NOISE,)))
+    smaller = Code.NOISE.says("", answer=Answer.STATE_NOISE)
+    monkeypatch.setattr("calib.core.judging.next_step.judge", lambda fit: Verdict("CHECK", (smaller,)))
     assert "0.3" not in advice(fit, typed)
     say("CHECK", "systematic")
     again = " calib fit a.yaml d.csv --terms auto --sigma-mm 0.3 --seed 3 --exclude-outliers --out out-2"

@@ -68,13 +68,9 @@ def test_a_missing_mesh_is_told_and_is_no_error(tmp_path):
 @pytest.mark.quick(0)
 @pytest.mark.parametrize("end", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.amount(0, 1))])
 def test_it_serves_until_it_is_stopped_and_then_ends_in_order(end, folder):
-    program = "from viz.command import view; view()"
-    process = start(
-        [sys.executable, "-c", program, ROBOT, "--result", folder, "--no-browser"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    program, pipe = "from viz.command import view; view()", subprocess.PIPE
+    command = [sys.executable, "-c", program, ROBOT, "--result", folder, "--no-browser"]
+    process = start(command, stdout=pipe, stderr=pipe, text=True)
     try:
         url = process.stdout.readline()
         port, path = re.fullmatch(r"http://127\.0\.0\.1:(\d+)(/.*/)\n", url).groups()

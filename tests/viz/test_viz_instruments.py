@@ -332,14 +332,12 @@ def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_
     actual, q = bent(nominal), joints(3)
     made = actual.assemble(q)
     touches = {"probe": np.array([1.0, 0.0, 1.0])[:, None], "table": np.zeros((3, 1))}
+    details = touches | {"wire": np.zeros((3, 0)), "turned": np.zeros((3, 0)), "eye": np.ones((3, 1))}
     none = np.zeros(3, dtype=np.intp)
-    looks = {name: Readings(np.arange(3), none, np.zeros((3, 0)), None, which) for name, which in touches.items()}
-    looks |= {"wire": Readings(np.arange(3), none, np.zeros((3, 0)), None, np.zeros((3, 0)))}
-    looks |= {"turned": looks["wire"], "eye": Readings(np.arange(3), none, np.zeros((3, 0)), None, np.ones((3, 1)))}
+    looks = {name: Readings(np.arange(3), none, np.zeros((3, 0)), None, which) for name, which in details.items()}
     read = predict_readings(actual, made, looks)
-    read |= {
-        name: dataclasses.replace(looks[name], values=np.zeros((3, k))) for name, k in {"probe": 3, "table": 1}.items()
-    }
+    for name, k in (("probe", 3), ("table", 1)):
+        read[name] = dataclasses.replace(looks[name], values=np.zeros((3, k)))
     layers = reading_errors_of_measurements(measurements(as_poses(nominal, q), read), nominal, actual)
     by_name = {layer.part.name: layer for layer in layers}
     ball, second = nominal.positions(q).transpose(1, 0, 2)

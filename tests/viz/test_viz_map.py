@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from tests.viz.viz_examples import medrue_fit
+from tests.viz.viz_examples import five_bar_fit, medrue_fit
 from viz.inputs import gather
 from viz.poses import PredictingRobot
 from viz.scene import scene_of_fit
@@ -52,9 +52,8 @@ def test_ellipsoids_hold_ninety_five_of_a_hundred_draws_of_the_prediction(arm):
 
 
 def test_a_robot_that_moves_in_a_plane_was_measured_within_an_outline():
-    robot = calib.load("docs/examples/five_bar.yaml")
-    fit = calib.fit(robot, calib.read_measurements("docs/examples/five_bar_simulated.csv", robot))
-    result = gather(robot, fit, mapped=100).scene.map
+    fit = five_bar_fit()
+    result = gather(fit.nominal, fit, mapped=100).scene.map
     assert 10 < np.sum(result.is_inside) < 100
     corners = np.unique(result.hull.reshape(-1, 3), axis=0)
     assert len(corners) == len(result.hull)  # a closed polygon has as many edges as corners

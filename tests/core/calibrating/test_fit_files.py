@@ -144,9 +144,8 @@ def test_files_report_and_verdict_say_what_they_are_worth(fit, folder):
     assert f"the whole model {1e3 * whole.rms:.4f} mm" in urdf
     report = fit.report(verbose=True)
     row = next(line for line in report.splitlines() if "│ joint origins " in line)
-    assert [float(cell) for cell in row.split("│")[2:4]] == pytest.approx(
-        [1e3 * origins.rms, 1e3 * origins.limit95], abs=6e-5
-    )
+    expected = [1e3 * origins.rms, 1e3 * origins.limit95]
+    assert [float(cell) for cell in row.split("│")[2:4]] == pytest.approx(expected, abs=6e-5)
     said = next(reason for reason in fit.verdict.reasons if reason.code == "file_holds_less")
     assert f"{1e3 * origins.rms:.4f} mm RMS" in said.text
 
@@ -285,10 +284,9 @@ def test_it_is_the_robot_in_the_file_that_is_worse(withheld, tmp_path):
         calib.export(fit.robot, tmp_path / "x.urdf", "urdf")
     calib.export(fit.robot, tmp_path / "x.urdf", "urdf", force=True)
     tip = in_file(arm, "urdf", tmp_path / "x.urdf")
-    file, nominal = (
-        np.sqrt(np.mean(np.sum(((item(test.joints) @ [0.05, 0.02, 0.1, 1])[:, :3] - test.points(arm)[:, 0]) ** 2, 1)))
-        for item in (tip, tip_of(urdf_links(arm.urdf.source), arm))
-    )
+    both, points = (tip, tip_of(urdf_links(arm.urdf.source), arm)), test.points(arm)[:, 0]
+    off = [(item(test.joints) @ [0.05, 0.02, 0.1, 1])[:, :3] - points for item in both]
+    file, nominal = np.sqrt(np.mean(np.sum(np.square(off), axis=2), axis=1))
     accuracy = fit.robot.files[Holds.ORIGINS].accuracy
     assert (accuracy.rms, accuracy.before) == pytest.approx((file, nominal), rel=1e-6)
     assert file > nominal

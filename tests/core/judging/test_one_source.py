@@ -51,9 +51,8 @@ def test_noise_and_errors_of_joints_are_together_what_residuals_show(tmp_path):
     rng = np.random.default_rng(2)
 
     def read(q):
-        return calib.as_measurements(
-            arm, q, arm.positions(q + 1e-4 * np.sin(40 * q))[:, 0] + 2e-5 * rng.standard_normal((len(q), 3))
-        )
+        points = arm.positions(q + 1e-4 * np.sin(40 * q))[:, 0] + 2e-5 * rng.standard_normal((len(q), 3))
+        return calib.as_measurements(arm, q, points)
 
     fit = calib.fit(arm, read(joints(100, 1)))
     assert fit.reading_noise[0] < 0.8 * fit.sigma

@@ -47,10 +47,8 @@ def arm():
 
 @pytest.fixture(scope="module")
 def folder(arm, tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.pictures.entry_points", lambda group: ())  # pages have tests of their own
-        path = tmp_path_factory.mktemp("result") / "arm"
-        arm[2].save(path)
+    path = tmp_path_factory.mktemp("result") / "arm"
+    arm[2].save(path, pages=False)
     return path
 
 
@@ -91,9 +89,8 @@ def test_places_of_all_setups_are_found_together(tmp_path):
     q, setup = rng.uniform([-2, 0.1, -0.01], [2, 0.9, 0.01], (60, 3)), np.repeat([0, 1], 30)
     t = np.array([0, 0, 0.1]) + Rotation.from_euler("z", 0.75).apply([0.012, 0.019, 0.033])
     lifted = Rotation.from_rotvec((np.pi / 2 + q[:, 2:]) * [0, 1, 0]).apply(t) + [0.375, 0, 0.5] + q[:, 1:2] * [1, 0, 0]
-    points = Rotation.from_rotvec([[0.1, -0.3, 0.2], [-0.4, 0.2, 1.9]])[setup].apply(
-        Rotation.from_rotvec(q[:, :1] * [0, 0, 1]).apply(lifted)
-    )
+    turned = Rotation.from_rotvec([[0.1, -0.3, 0.2], [-0.4, 0.2, 1.9]])[setup]
+    points = (turned * Rotation.from_rotvec(q[:, :1] * [0, 0, 1])).apply(lifted)
     seen = points + np.array([[2.0, 1.7, 0.4], [1.5, -1.3, 0.3]])[setup] + rng.normal(0, 2e-5, (60, 3))
     header, setups = "setup,turn,slide,wrist,tip_x,tip_y,tip_z", ["first"] * 30 + ["moved"] * 30
     data = calib.read_measurements(write_table(tmp_path / "data.csv", header, setups, q, seen), robot)

@@ -59,6 +59,7 @@ def test_outliers_that_were_left_out_stay_in_the_table_also_of_a_folder(tmp_path
     fit = spoiled_fit(exclude_outliers=True)
     own, saved = gather(fit.nominal, fit).scene, saved_scene(fit, tmp_path)
     assert own.notes == saved.notes == ()
+    np.testing.assert_allclose(saved.poses.error("after"), own.poses.error("after"), rtol=0, atol=1e-12)
     for table in (own.poses, saved.poses):
         assert table.group.count("identification") == 83
         row = table.group.index("left out")

@@ -35,26 +35,28 @@ def measured(robot, q, rng, sigma=SIGMA, names=None):
 
 
 @pytest.fixture(scope="module")
-def arm():
-    """The arm of the examples, its truth, and a fit."""
-    robot = calib.load(EXAMPLES / "arm.yaml")
+def truth(robot):
+    """The arm of the examples as it truly is."""
     rng = np.random.default_rng(1)
     drawn = {p.name: p.nominal_si + p.sigma_si * rng.standard_normal() for p in robot.parameters if not p.placement}
-    truth = robot.with_parameters(drawn | {"base.x": 2.1, "base.rz": 2.0, "reflector.y": -0.003})
-    q = rng.uniform(-1.2, 1.2, (80, 6))
-    return robot, truth, calib.fit(robot, measured(truth, q, rng))
+    return robot.with_parameters(drawn | {"base.x": 2.1, "base.rz": 2.0, "reflector.y": -0.003})
 
 
 @pytest.fixture(scope="module")
-def folder(arm, tmp_path_factory):
+def fit(robot, truth):
+    rng = np.random.default_rng(51)
+    return calib.fit(robot, measured(truth, rng.uniform(-1.2, 1.2, (80, 6)), rng))
+
+
+@pytest.fixture(scope="module")
+def folder(fit, tmp_path_factory):
     path = tmp_path_factory.mktemp("result") / "arm"
-    arm[2].save(path, pages=False)
+    fit.save(path, pages=False)
     return path
 
 
 @pytest.mark.quick(0)
-def test_a_robot_as_calibrated_agrees_whoever_moved_the_tracker(arm):
-    _, truth, fit = arm
+def test_a_robot_as_calibrated_agrees_whoever_moved_the_tracker(truth, fit):
     rng, moved = np.random.default_rng(2), truth.with_parameters(MOVED)
     results = [verify(fit, measured(moved, rng.uniform(-1.2, 1.2, (15, 6)), rng)) for _ in range(40)]
     assert Counter(item.verdict for item in results)["agrees"] >= 38  # false alarms: 1 in 100
@@ -65,8 +67,7 @@ def test_a_robot_as_calibrated_agrees_whoever_moved_the_tracker(arm):
     assert promised == pytest.approx(did, rel=0.15)
 
 
-def test_in_the_same_setup_the_places_count_too(arm):
-    _, truth, fit = arm
+def test_in_the_same_setup_the_places_count_too(truth, fit):
     rng = np.random.default_rng(3)
     q = rng.uniform(-1.2, 1.2, (15, 6))
     assert verify(fit, measured(truth, q, rng), same_setup=True).verdict == "agrees"
@@ -99,8 +100,7 @@ def test_places_of_all_setups_are_found_together(tmp_path):
     assert 1e-3 * acceptance.errors.table()["after"]["rms"] == pytest.approx(2e-5 * np.sqrt(3), rel=0.2)
 
 
-def test_no_change_within_its_own_uncertainty_is_called_significant(arm):
-    _, truth, fit = arm
+def test_no_change_within_its_own_uncertainty_is_called_significant(truth, fit):
     rng = np.random.default_rng(41)
     quiet = verify(fit, measured(truth.with_parameters(MOVED), rng.uniform(-1.2, 1.2, (8, 6)), rng))
     assert not any(change.significant for change in quiet.changes)
@@ -114,17 +114,15 @@ def test_no_change_within_its_own_uncertainty_is_called_significant(arm):
     assert f"{len(significant)} are significant" in text_report(loud, (), ())
 
 
-def test_more_noise_is_no_matter_of_calibration(arm):
-    _, truth, fit = arm
+def test_more_noise_is_no_matter_of_calibration(truth, fit):
     rng = np.random.default_rng(7)
     q = np.tile(rng.uniform(-1.2, 1.2, (8, 6)), (10, 1))
     names = [str(k % 8) for k in range(80)]
     assert verify(fit, measured(truth, q, rng, 2 * SIGMA, names)).verdict == "noisier"
 
 
-def test_readings_that_agree_with_anything_are_too_few(arm):
+def test_readings_that_agree_with_anything_are_too_few(truth, fit):
     """Four points are twelve coordinates, of which base and reflector take nine; fifteen leave enough."""
-    _, truth, fit = arm
     rng = np.random.default_rng(81)
     few = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (4, 6)), rng))
     enough = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (15, 6)), rng))
@@ -137,9 +135,8 @@ def test_readings_that_agree_with_anything_are_too_few(arm):
         assert share == pytest.approx(0.9, abs=0.01)
 
 
-def test_a_change_that_would_have_to_be_as_large_as_the_robot_is_not_looked_for(arm):
+def test_a_change_that_would_have_to_be_as_large_as_the_robot_is_not_looked_for(robot, fit):
     """Of the UR10, another day of the same week changed the origin of its wrist "by -440 mm"; its prior is 1 mm."""
-    robot, _, fit = arm
     q = np.random.default_rng(3).uniform(-0.02, 0.02, (9, 6))
     changes = visible_changes(fit, q)
     assert 0 < len(changes) < len(candidates(robot))
@@ -170,12 +167,12 @@ def test_a_promise_is_as_wide_as_poses_left_out_show():
     wider = next(iter(promise.sigma.values())) / fit.reading_noise[0]
     assert wider == pytest.approx(ratio, rel=0.1)
     assert promise.uncertainty.joint_error == pytest.approx(wider * fit.joint_error)
-    assert np.allclose(promise.uncertainty.covariance, wider**2 * fit.covariance.values)
+    size = np.max(fit.covariance.values)
+    np.testing.assert_allclose(promise.uncertainty.covariance, wider**2 * fit.covariance.values, atol=1e-9 * size)
 
 
 @pytest.mark.quick(0)
-def test_a_change_that_is_visible_is_seen_in_nine_of_ten(arm):
-    _, truth, fit = arm
+def test_a_change_that_is_visible_is_seen_in_nine_of_ten(truth, fit):
     rng = np.random.default_rng(9)
     q = rng.uniform(-1.2, 1.2, (20, 6))
     first = next(change for change in visible_changes(fit, q) if change.name == "joint_5.z")
@@ -188,23 +185,9 @@ def test_a_change_that_is_visible_is_seen_in_nine_of_ten(arm):
     assert first.visible / first.std == pytest.approx(5.1, abs=0.4)
 
 
-def test_a_result_folder_promises_what_its_fit_did(arm, folder):
-    robot, _, fit = arm
-    read, own = load_result(folder, robot).promise, Promise.from_calibration(fit)
-    assert np.allclose(read.uncertainty.covariance, own.uncertainty.covariance, rtol=1e-12)
-    assert read.uncertainty.joint_error == own.uncertainty.joint_error > 0
-    assert np.allclose(read.robot.values, own.robot.values, rtol=0, atol=1e-12)
-    assert read.freedom == pytest.approx(own.freedom)
-    assert read.sigma.keys() == own.sigma.keys()
-    assert list(read.sigma.values()) == pytest.approx(list(own.sigma.values()))
-    assert (read.names, read.decided) == (own.names, pytest.approx(own.decided))
-    assert np.allclose(read.joints, own.joints, rtol=0, atol=1e-7)
-
-
 @pytest.fixture(scope="module")
-def worn(arm):
+def worn(robot, truth):
     """The arm with joints that follow waves, which no parameter describes, calibrated in a part of joint space."""
-    robot, truth, _ = arm
 
     def read(q, rng, moved=0.0):
         actual = q + 4e-4 * np.sin(np.array([2, 3, 2, 3, 2, 3]) * q + np.arange(6)) + moved * np.eye(6)[2]
@@ -212,6 +195,21 @@ def worn(arm):
 
     rng = np.random.default_rng(2)
     return calib.fit(robot, read(rng.uniform(-1.2, 0.2, (80, 6)), rng)), read
+
+
+def test_a_result_folder_promises_what_its_fit_did(robot, worn, tmp_path):
+    fit, _ = worn
+    fit.save(tmp_path / "out", pages=False)
+    read, own = load_result(tmp_path / "out", robot).promise, Promise.from_calibration(fit)
+    size = np.max(own.uncertainty.covariance)  # an entry near zero is the rest of large ones
+    np.testing.assert_allclose(read.uncertainty.covariance, own.uncertainty.covariance, rtol=1e-9, atol=1e-9 * size)
+    assert read.uncertainty.joint_error == own.uncertainty.joint_error > 0
+    assert np.allclose(read.robot.values, own.robot.values, rtol=0, atol=1e-12)
+    assert read.freedom == pytest.approx(own.freedom)
+    assert read.sigma.keys() == own.sigma.keys()
+    assert list(read.sigma.values()) == pytest.approx(list(own.sigma.values()))
+    assert (read.names, read.decided) == (own.names, pytest.approx(own.decided))
+    assert np.allclose(read.joints, own.joints, rtol=0, atol=1e-7)
 
 
 @pytest.mark.quick(0)
@@ -284,9 +282,8 @@ def test_a_change_at_poses_like_those_measured_is_found_though_the_model_is_wron
     assert "To settle it, measure" in text_report(changed, (), ())
 
 
-def test_no_verdict_agrees_while_errors_exceed_their_limit(arm):
+def test_no_verdict_agrees_while_errors_exceed_their_limit(robot, truth):
     """Along the one direction that a calibration in a corner leaves uncertain, its limit is far above its noise."""
-    robot, truth, _ = arm
     rng = np.random.default_rng(21)
     fit = calib.fit(robot, measured(truth, rng.uniform(-0.25, 0.25, (40, 6)), rng))
     for _ in range(6):
@@ -301,8 +298,7 @@ def iso_data(robot, q, **stated):
     return replace(measured(robot, np.tile(q, (30, 1)), np.random.default_rng(11), names=names), **stated)
 
 
-def test_iso_figures_are_there_where_their_cycles_are(arm):
-    _, truth, fit = arm
+def test_iso_figures_are_there_where_their_cycles_are(truth, fit):
     q = np.random.default_rng(12).uniform(-0.8, 0.8, (5, 6))
     plain = verify(fit, iso_data(truth, q))
     figures, missing = iso_figures(plain.errors, np.random.default_rng(0))
@@ -332,8 +328,7 @@ def run(tmp_path, data, folder, *options, robot=EXAMPLES / "arm.yaml"):
     return CliRunner().invoke(command, [str(robot), str(path), "--result", str(folder), *options])
 
 
-def test_command_says_and_writes_the_verdict(arm, folder, tmp_path):
-    _, truth, _ = arm
+def test_command_says_and_writes_the_verdict(truth, folder, tmp_path):
     rng = np.random.default_rng(13)
     q = rng.uniform(-1.2, 1.2, (25, 6))
     data = format_measurements(truth, measured(truth, q, rng))
@@ -355,8 +350,7 @@ def test_command_says_and_writes_the_verdict(arm, folder, tmp_path):
     assert "cannot tell it from a change of" in bad.stdout
 
 
-def test_readings_that_the_calibration_used_are_told(arm, folder, tmp_path):
-    _, truth, fit = arm
+def test_readings_that_the_calibration_used_are_told(truth, fit, folder, tmp_path):
     rng = np.random.default_rng(15)
     q = np.vstack([fit.identification.data.joints[:7], rng.uniform(-1.2, 1.2, (18, 6))])
     mixed = run(tmp_path, format_measurements(truth, measured(truth, q, rng)), folder)
@@ -402,8 +396,7 @@ def test_wrong_input_is_refused_in_one_line(folder, tmp_path, text, options, mes
 
 
 @pytest.mark.parametrize("freedom", [0.2, 1.0])
-def test_a_calibration_with_hardly_a_degree_of_freedom_promises_nothing(arm, freedom):
-    _, truth, fit = arm
+def test_a_calibration_with_hardly_a_degree_of_freedom_promises_nothing(truth, fit, freedom):
     promise, rng = replace(Promise.from_calibration(fit), freedom=freedom), np.random.default_rng(15)
     data = measured(truth, rng.uniform(-1.2, 1.2, (12, 6)), rng)
     for ask in (verify, visible_changes):

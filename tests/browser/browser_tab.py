@@ -18,6 +18,10 @@ SEEN = """() => { const v = calibrationViewer; const { stage } = v;
     stage && stage.marks && Object.values(stage.marks.uniforms).map((u) => u.value)]); }"""
 """What a page shows, and the state behind it."""
 
+OUTSIDE = """v.scene.view.outline.filter(([x, y, z]) => { const p = new v.stage.THREE.Vector3(x, z, -y)
+  .project(v.stage.viewer.camera); return Math.abs(p.x) > 1 || Math.abs(p.y) > 1; }).length"""
+"""How many corners of the scene the picture does not show."""
+
 FIRST = """() => { const controls = [...document.querySelectorAll('input, select, details')];
   const marked = (e) => e.matches('[type=checkbox], [type=radio]');
   window.firstControls = controls.map((e) => [e, e.tagName === 'DETAILS' ? e.open : marked(e) ? e.checked : e.value]);
@@ -55,6 +59,13 @@ class Tab:
         self.page.on("pageerror", lambda error: self.problems.append(str(error)))
         self.page.on("dialog", lambda dialog: self.problems.append(dialog.message))
         self.page.on("request", lambda request: self.requests.append(request.url))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *ended):
+        self.context.close()
+        assert ended[0] or self.problems == []
 
     def open(self, address, ready="body[data-ready]"):
         self.first = None

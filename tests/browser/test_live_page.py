@@ -18,19 +18,17 @@ def fit():
 
 
 @contextlib.contextmanager
-def followed(chromium, fit, **size):
-    with viz.show(medrue_robot(), fit) as viewer:
-        tab = Tab(chromium, **size)
+def followed(chromium, robot, fit=None, **size):
+    with viz.show(robot, fit) as viewer, Tab(chromium, **size) as tab:
         tab.context.set_offline(False)  # this computer counts as a network
         tab.open(viewer.url)
         assert viewer.wait_for_browser(10)
         yield viewer, tab, fit
-        tab.context.close()
 
 
 @pytest.fixture(scope="module")
 def kept_live(chromium, fit):
-    with followed(chromium, fit) as kept:
+    with followed(chromium, medrue_robot(), fit) as kept:
         yield kept
 
 
@@ -47,7 +45,7 @@ def live(kept_live):
 @pytest.fixture
 def ending(chromium, fit):
     """A program that ends."""
-    with followed(chromium, fit, size=(1200, 800)) as fresh:
+    with followed(chromium, medrue_robot(), fit, size=(1200, 800)) as fresh:
         yield fresh
 
 
@@ -73,16 +71,11 @@ def test_the_page_follows_the_program(live):
 @pytest.mark.quick(0)
 def test_the_camera_holds_the_robot_and_not_the_measurement_frame_far_away(chromium):
     fit = five_bar_fit()
-    with viz.show(fit.nominal, fit) as viewer:
-        tab = Tab(chromium)
-        tab.context.set_offline(False)
-        tab.open(viewer.url)
-        assert viewer.wait_for_browser(10)
+    with followed(chromium, fit.nominal, fit) as (viewer, tab, _):
         viewer.display(fit.identification.data.joints[3])
         wait(tab, "v.stage.live !== null")
         far, size = tab.page.evaluate("""() => { const { stage } = calibrationViewer; const places = stage.livePlaces();
           return [Math.max(...places.map((place) => place.distanceTo(places[0]))), stage.size]; }""")
-        tab.context.close()
     assert np.linalg.norm(fit.identification.data.readings["pen"].values[0]) > 1.5 * size
     assert far < size
 
@@ -96,11 +89,9 @@ def test_only_this_computer_is_asked(live):
 def test_a_browser_that_comes_later_sees_the_present_pose_and_does_not_hold_the_program_up_when_closed(live, chromium):
     viewer, tab, _ = live
     viewer.show_pose(33)
-    later = Tab(chromium)
-    later.context.set_offline(False)
-    later.open(viewer.url)
-    wait(later, "v.row === 33")
-    later.context.close()
+    with Tab(chromium) as later:
+        later.context.set_offline(False)
+        wait(later.open(viewer.url), "v.row === 33")
     for row in range(84):
         viewer.show_pose(row)
     wait(tab, "v.row === 83")
@@ -145,11 +136,7 @@ def test_a_live_configuration_stays_until_a_pose_is_asked_for(live):
 
 def test_a_robot_without_poses_shows_the_joint_values_that_a_program_displays(chromium):
     robot = medrue_robot()
-    with viz.show(robot) as viewer:
-        tab = Tab(chromium)
-        tab.context.set_offline(False)
-        tab.open(viewer.url)
-        assert viewer.wait_for_browser(10)
+    with followed(chromium, robot) as (viewer, tab, _):
         assert not tab.page.locator("#pose-block").is_visible()
         viewer.display(robot.home)
         wait(tab, "v.live !== null")
@@ -157,8 +144,6 @@ def test_a_robot_without_poses_shows_the_joint_values_that_a_program_displays(ch
         assert len(tab.page.locator("#joints td").all()) == 6
         assert [row.split("\t")[0] for row in tab.page.locator("#position tbody tr").all_inner_texts()] == ["predicted"]
         assert not tab.page.locator("#stepper").is_visible()
-        assert tab.problems == []
-        tab.context.close()
 
 
 @pytest.mark.quick(0)

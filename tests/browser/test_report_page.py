@@ -7,37 +7,34 @@ import numpy as np
 import pytest
 
 import calib
+import viz
 from tests.browser.browser_tab import Tab
+from tests.core.instruments import test_kind_pixel as pixel
 from tests.fleets.fleet_figures import ROBOT, made_up, results_of
 from tests.project import EXAMPLES
+from tests.six_axis_arm import joints, write_six_axis
+from tests.viz.viz_examples import five_bar_fit, long_named_fit, medrue_fit
+from viz.comparison_page import comparison_page, fleet_page
 
 
 @pytest.fixture(scope="module")
 def report_file(tmp_path_factory):
-    import viz
-    from tests.viz.viz_examples import medrue_fit
-
     return viz.report(medrue_fit(), command="calib fit").save(tmp_path_factory.mktemp("pages") / "report.html")
 
 
 @pytest.fixture(scope="module")
 def kept_report(chromium, report_file):
-    tab = Tab(chromium).open(report_file.as_uri())
-    yield tab
-    tab.context.close()
+    with Tab(chromium) as tab:
+        yield tab.open(report_file.as_uri())
 
 
 @pytest.fixture(scope="module")
 def kept_small_report(chromium, tmp_path_factory):
     """The report of a robot of two motors, which is drawn more quickly."""
-    import viz
-    from tests.viz.viz_examples import five_bar_fit
-
     page = viz.report(five_bar_fit()).save(tmp_path_factory.mktemp("pages") / "report.html")
-    tab = Tab(chromium, size=(1000, 900)).open(page.as_uri())
-    tab.page.evaluate("calibrationReport.all()")
-    yield tab
-    tab.context.close()
+    with Tab(chromium, size=(1000, 900)) as tab:
+        tab.open(page.as_uri()).page.evaluate("calibrationReport.all()")
+        yield tab
 
 
 @pytest.fixture
@@ -65,9 +62,8 @@ def test_it_opens_without_errors_and_fits_the_window(report, report_file):
         tab = report(*size)
         tab.page.evaluate("calibrationReport.all()")
         assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
-    assert [address for address in tab.requests if not address.startswith(("about:", "blob:", "data:"))] == [
-        report_file.as_uri()
-    ]
+    asked = [address for address in tab.requests if not address.startswith(("about:", "blob:", "data:"))]
+    assert asked == [report_file.as_uri()]
     assert tab.page.locator("section").first.get_attribute("class").startswith("verdict")
 
 
@@ -133,11 +129,9 @@ ORDER = """if (window !== top) {
 
 def test_the_robot_is_drawn_once_and_seen_with_the_plots_of_the_window(chromium, report_file):
     """Without a graphics card each picture takes a tenth of a second, in which plots would wait."""
-    tab = Tab(chromium, size=(1400, 900))
-    tab.page.add_init_script(ORDER)
-    tab.open(report_file.as_uri())
-    pictures, plots = tab.page.evaluate("window.atFirst")
-    tab.context.close()
+    with Tab(chromium, size=(1400, 900)) as tab:
+        tab.page.add_init_script(ORDER)
+        pictures, plots = tab.open(report_file.as_uri()).page.evaluate("window.atFirst")
     assert pictures == 1
     assert plots >= 1
 
@@ -153,13 +147,11 @@ def test_on_paper_the_legend_is_large_and_covers_nothing_of_the_robot(report):
     found = (
         tab.page.frame_locator("#space")
         .locator("body")
-        .evaluate(
-            """(body) => { body.classList.add("paper");
+        .evaluate("""(body) => { body.classList.add("paper");
         const [legend, pane] = ["legend", "pane"].map((id) => document.getElementById(id).getBoundingClientRect());
         body.classList.remove("paper");
         const larger = legend.height / document.getElementById("legend").getBoundingClientRect().height;
-        return { right: legend.right - window.innerWidth, over: pane.bottom - legend.top, larger }; }"""
-        )
+        return { right: legend.right - window.innerWidth, over: pane.bottom - legend.top, larger }; }""")
     )
     assert found["right"] <= 0
     assert found["over"] <= 0
@@ -195,9 +187,6 @@ WORDS = """async () => { // where each text of each plot is drawn [px]: [plot, t
 @pytest.mark.parametrize("size", [(1000, 900), (390, 844)])
 def test_texts_of_plots_are_whole_and_numbers_at_an_axis_do_not_touch(show, size, tmp_path_factory):
     """An arm whose joints have the names of real ones, and turn by 360 degrees both ways."""
-    import viz
-    from tests.viz.viz_examples import long_named_fit
-
     folder = tmp_path_factory.getbasetemp() / "long_names"
     if not folder.exists():
         folder.mkdir()
@@ -243,9 +232,7 @@ def test_it_prints(report):
     assert document.startswith(b"%PDF")
     report(688, 1000, "print")  # what A4 leaves between the margins
     assert tab.page.evaluate("Math.max(...[...document.querySelectorAll('table')].map((t) => t.scrollWidth))") <= 688
-    assert (
-        3 <= document.count(b"/Type /Page\n") + document.count(b"/Type/Page ") + document.count(b"/Type /Page ") <= 12
-    )
+    assert 3 <= sum(map(document.count, (b"/Type /Page\n", b"/Type/Page ", b"/Type /Page "))) <= 12
 
 
 def test_the_first_printed_page_has_the_robot_and_no_page_is_half_empty(report):
@@ -284,9 +271,6 @@ REPORTED = {"arm": "mm after", "camera": "px after", "stewart": "mm after"}
 
 def reported(name, folder):
     """A fit of a robot without meshes: of an arm, of an arm that a camera sees, of a Stewart platform."""
-    from tests.core.instruments import test_kind_pixel as pixel
-    from tests.six_axis_arm import joints, write_six_axis
-
     if name != "camera":
         robot = calib.load(EXAMPLES / f"{name}.yaml")
         return calib.fit(robot, EXAMPLES / f"{name}_simulated.csv", validation=0.25)
@@ -299,8 +283,6 @@ def reported(name, folder):
 @pytest.mark.quick(0)
 @pytest.mark.parametrize("name", REPORTED)
 def test_the_same_poses_are_meant_everywhere_for_every_robot(show, name, tmp_path):
-    import viz
-
     tab = show(viz.report(reported(name, tmp_path)).save(tmp_path / "report.html").as_uri(), size=(1000, 900))
     tab.page.evaluate("calibrationReport.all()")
     drive(tab, REPORTED[name])
@@ -396,9 +378,6 @@ def test_plots_are_laid_out_anew_for_paper(small_report):
 
 @pytest.mark.quick(0)
 def test_compared_results_fit_the_window_and_print(show, tmp_path):
-    from tests.viz.viz_examples import medrue_fit
-    from viz.comparison_page import comparison_page
-
     fits = [medrue_fit(range(start, 420, 5), range(3, 420, 9)) for start in (0, 1)]
     page = comparison_page(calib.compare(*fits)).save(tmp_path / "compared.html")
     tab = show(page.as_uri())
@@ -439,21 +418,15 @@ def test_plots_take_the_colours_of_a_dark_page(small_report):
         tab.page.wait_for_timeout(500)
         tab.page.evaluate("calibrationReport.all()")
         inks.append(tab.page.evaluate("calibrationReport.charts[0].ink"))
-        assert (
-            tab.page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--ink').trim()") == inks[-1]
-        )
-        assert (
-            tab.page.evaluate("document.getElementById('space').contentDocument.documentElement.dataset.theme")
-            == scheme
-        )
+        ink = "getComputedStyle(document.documentElement).getPropertyValue('--ink').trim()"
+        theme = "document.getElementById('space').contentDocument.documentElement.dataset.theme"
+        assert [tab.page.evaluate(shown) for shown in (ink, theme)] == [inks[-1], scheme]
     assert inks[0] != inks[1]
 
 
 @pytest.mark.quick(0)
 def test_a_fleet_in_folders_far_down_fits_the_window(show, tmp_path):
     """Nothing has to be scrolled to, and folders are named by what differs."""
-    from viz.comparison_page import fleet_page
-
     robot, rng = calib.load(ROBOT), np.random.default_rng(5)
     folder = tmp_path / "calibrations" / "of hall three" / "in november"
     folder.mkdir(parents=True)

@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
-from tests.browser.browser_tab import Tab, slide
+from tests.browser.browser_tab import OUTSIDE, Tab, slide
 from tests.viz.viz_examples import LONG_NAMES, long_named_fit
 from viz.judgement import Judgement
 from viz.remarks import remarks
@@ -25,10 +25,8 @@ def long_named(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def kept_long_named(chromium):
-    tab = Tab(chromium)
-    yield tab
-    assert tab.problems == []
-    tab.context.close()
+    with Tab(chromium) as tab:
+        yield tab
 
 
 @pytest.fixture(scope="module", params=SIZES.values(), ids=SIZES)
@@ -204,6 +202,4 @@ def test_a_turned_phone_shows_the_whole_scene_again(show, viewer_file):
     tab.page.set_viewport_size({"width": 390, "height": 844})
     tab.drawn()
     tab.drawn()
-    outside = tab.state("""v.scene.view.outline.filter(([x, y, z]) => { const p = new v.stage.THREE.Vector3(x, z, -y)
-      .project(v.stage.viewer.camera); return Math.abs(p.x) > 1 || Math.abs(p.y) > 1; }).length""")
-    assert outside == 0
+    assert tab.state(OUTSIDE) == 0

@@ -17,9 +17,8 @@ def map_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def kept_map(chromium):
-    tab = Tab(chromium)
-    yield tab
-    tab.context.close()
+    with Tab(chromium) as tab:
+        yield tab
 
 
 @pytest.fixture

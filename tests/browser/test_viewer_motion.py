@@ -1,7 +1,5 @@
 """What moves by itself in the viewer: only where the reader lets it, and it can be stopped."""
 
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -9,6 +7,8 @@ import pytest
 import calib
 import viz
 from tests.browser.browser_tab import Tab, slide
+from tests.project import EXAMPLES, copied
+from tests.viz.viz_examples import medrue_fit
 from viz.bodies import posed_robot
 from viz.scene import build_scene
 from viz.viewer_page import scene_page
@@ -18,9 +18,8 @@ PART = "v.stage.marks.uniforms.state.value"
 
 @pytest.fixture(scope="module")
 def kept_moving(chromium):
-    tab = Tab(chromium, reduced_motion="no-preference")
-    yield tab
-    tab.context.close()
+    with Tab(chromium, reduced_motion="no-preference") as tab:
+        yield tab
 
 
 @pytest.fixture
@@ -35,10 +34,8 @@ def wait(tab, condition):
 
 def test_errors_become_those_of_the_other_state_step_by_step(moving):
     assert moving.state(PART) == 1
-    passed = (
-        "window.passed = []; const show = v.morph.show; v.morph.show = (part) => { passed.push(part); show(part); }"
-    )
-    moving.page.evaluate(f"() => {{ const v = calibrationViewer; {passed} }}")
+    moving.page.evaluate("""() => { window.passed = []; const { morph } = calibrationViewer; const { show } = morph;
+      morph.show = (part) => { passed.push(part); show.call(morph, part); } }""")
     moving.page.keyboard.press("b")
     wait(moving, f"{PART} === 0")
     parts = moving.page.evaluate("passed")
@@ -127,8 +124,6 @@ def test_nothing_plays_by_itself_and_less_motion_begins_slowly(tab, moving):
 
 @pytest.fixture(scope="module")
 def robots():
-    from tests.viz.viz_examples import medrue_fit
-
     fit = medrue_fit()
     return {"solid": fit.robot, "ghost": fit.placed}
 
@@ -198,10 +193,8 @@ def test_a_robot_without_poses_can_be_moved(show, tmp_path):
 
 def with_terms(folder, name, terms, generator):
     """An example robot, and the same one with joint terms of random size."""
-    (folder / f"{name}.urdf").write_text(Path(f"docs/examples/{name}.urdf").read_text())
-    described = Path(f"docs/examples/{name}.yaml").read_text()
-    (folder / "robot.yaml").write_text("\n".join([described, "joint_terms:", *(f"  - {{{term}}}" for term in terms)]))
-    robot = calib.load(folder / "robot.yaml")
+    more = "\n".join(["joint_terms:", *(f"  - {{{term}}}" for term in terms)])
+    robot = calib.load(copied(folder, EXAMPLES / f"{name}.yaml", more=more))
     values = robot.values.copy()
     sigma = [parameter.sigma_si for parameter in robot.parameters[robot.coefficients]]
     values[robot.coefficients] = generator.normal(scale=sigma)

@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from tests.browser.browser_tab import Tab, slide
-from tests.viz.viz_examples import exaggerated, many_poses
+from tests.browser.browser_tab import OUTSIDE, Tab, slide
+from tests.viz.viz_examples import exaggerated, many_poses, medrue_robot
 from viz.scene import build_scene
 from viz.scene_data import summary
 from viz.viewer_page import scene_page
@@ -34,9 +34,8 @@ def test_it_loads_twice_without_errors_and_without_asking_anybody(show, viewer_f
 def test_the_numbers_of_the_summary_are_those_of_the_fit(tab, scene):
     validation = next(row for row in summary(scene) if row["group"] == "validation")
     shown = visible_numbers(tab, "#error-before, #error-after")
-    np.testing.assert_allclose(
-        shown, [validation["before"]["rms"], validation["after"]["rms"]], rtol=6e-3
-    )  # three digits
+    expected = [validation[state]["rms"] for state in ("before", "after")]
+    np.testing.assert_allclose(shown, expected, rtol=6e-3)  # three digits
 
 
 def test_robot_and_ghost_stand_where_they_should(tab, scene):
@@ -44,9 +43,8 @@ def test_robot_and_ghost_stand_where_they_should(tab, scene):
         slide(tab, "pose", pose)
         for slider_value, factor in ((0, 1.0), (3, 10.0)):
             slide(tab, "ghost-factor", slider_value)
-            np.testing.assert_allclose(
-                matrices(tab, "solidMatrices"), scene.bodies.matrices(scene.solid, pose), atol=1e-6
-            )
+            solid = scene.bodies.matrices(scene.solid, pose)
+            np.testing.assert_allclose(matrices(tab, "solidMatrices"), solid, atol=1e-6)
             expected = exaggerated(scene.bodies, scene.solid, scene.ghost, pose, factor)
             np.testing.assert_allclose(matrices(tab, "ghostMatrices"), expected, atol=1e-6 * (1 + factor))
 
@@ -100,9 +98,8 @@ def test_the_pose_slider_moves_the_robot_and_the_panel(tab, scene):
         ("residual / σ", table.normalised_residuals(), 1, 2),
         ("pred. ± 1σ", table.spread, 1e3, 4),
     ):
-        np.testing.assert_allclose(
-            [float(text) for text in rows[name][:3]], scale * values[70], atol=0.51 * 10.0**-digits
-        )
+        shown = [float(text) for text in rows[name][:3]]
+        np.testing.assert_allclose(shown, scale * values[70], atol=0.51 * 10.0**-digits)
     assert float(rows["error after"][3]) == pytest.approx(1e3 * np.linalg.norm(table.error("after")[70]), abs=1e-4)
     joints = tab.page.locator("#joints td").all_inner_texts()
     expected = [
@@ -219,23 +216,17 @@ def test_dragging_turns_the_camera_and_reset_brings_it_back(tab):
 
 
 def test_the_views_look_from_different_sides(tab):
-    seen = []
+    seen, towards = [], "clone().sub(v.stage.viewer.controls.target).normalize().toArray()"
     for name in ("front", "side", "top"):
         tab.page.locator(f"[data-view={name}]").click()
-        seen.append(
-            tab.state(
-                "v.stage.viewer.camera.position.clone().sub(v.stage.viewer.controls.target).normalize().toArray()"
-            )
-        )
+        seen.append(tab.state(f"v.stage.viewer.camera.position.{towards}"))
     for first, second in itertools.combinations(seen, 2):
         assert abs(np.dot(first, second)) < 0.1
     assert seen[2][1] > 0.99  # meshcat's camera has y upwards
 
 
 def test_the_whole_scene_is_in_the_first_picture(tab):
-    outside = tab.state("""v.scene.view.outline.filter(([x, y, z]) => { const p = new v.stage.THREE.Vector3(x, z, -y)
-      .project(v.stage.viewer.camera); return Math.abs(p.x) > 1 || Math.abs(p.y) > 1; }).length""")
-    assert outside == 0
+    assert tab.state(OUTSIDE) == 0
 
 
 def test_frames_carry_their_names(tab):
@@ -247,18 +238,16 @@ def test_frames_carry_their_names(tab):
 
 @pytest.mark.quick(0)
 def test_on_a_phone_nothing_is_cut_off_and_everything_can_be_reached(chromium, viewer_file):
-    tab = Tab(chromium, size=(390, 844), device_scale_factor=2, has_touch=True, is_mobile=True)
-    tab.open(viewer_file.as_uri())
-    assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390
-    pane, legend = (tab.page.locator(name).bounding_box() for name in ("#pane", "#legend"))
-    assert pane["height"] > 300
-    assert pane["y"] + pane["height"] <= legend["y"] + 1  # the legend covers nothing
-    for name in ("#next", "#show-frames", "#reset-camera"):
-        tab.page.locator(name).tap()
-    assert tab.state("v.row") == 1
-    assert tab.picture().std() > 20
-    assert tab.problems == []
-    tab.context.close()
+    with Tab(chromium, size=(390, 844), device_scale_factor=2, has_touch=True, is_mobile=True) as tab:
+        tab.open(viewer_file.as_uri())
+        assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390
+        pane, legend = (tab.page.locator(name).bounding_box() for name in ("#pane", "#legend"))
+        assert pane["height"] > 300
+        assert pane["y"] + pane["height"] <= legend["y"] + 1  # the legend covers nothing
+        for name in ("#next", "#show-frames", "#reset-camera"):
+            tab.page.locator(name).tap()
+        assert tab.state("v.row") == 1
+        assert tab.picture().std() > 20
 
 
 def test_every_control_has_a_name_and_is_reached_by_tab_in_the_order_of_the_page(tab):
@@ -282,20 +271,16 @@ def test_every_control_has_a_name_and_is_reached_by_tab_in_the_order_of_the_page
 def test_text_stands_out_from_its_background(tab, theme):
     tab.page.emulate_media(color_scheme=theme)
     tab.drawn()
-    ratios = tab.page.evaluate("""() => {
-      const light = (c) => c.map((v) => v / 255).map((v) => (v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4))
-        .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
+    texts = tab.page.evaluate("""() => {
       const parse = (text) => text.match(/[\\d.]+/g).map(Number);
       const ground = (e) => { for (let n = e; n; n = n.parentElement) {
         const c = parse(getComputedStyle(n).backgroundColor);
         if (c.length < 4 || c[3] > 0.5) return c.slice(0, 3); } return [255, 255, 255]; };
       return [...document.querySelectorAll('#panel *, #legend *')].filter((e) => e.offsetParent !== null &&
-        [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim())).map((e) => {
-          const a = light(parse(getComputedStyle(e).color).slice(0, 3)), b = light(ground(e));
-          return [(Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), e.textContent]; });
-    }""")
-    assert len(ratios) > 30
-    assert [contrast for contrast in ratios if contrast[0] < 4.5] == []  # WCAG AA
+        [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim())).map((e) =>
+          [parse(getComputedStyle(e).color).slice(0, 3), ground(e), e.textContent]); }""")
+    assert len(texts) > 30
+    assert [text for colour, ground, text in texts if contrast(colour, ground) < 4.5] == []  # WCAG AA
     assert tab.state("document.documentElement.dataset.theme") == theme
 
 
@@ -303,37 +288,29 @@ def test_text_stands_out_from_its_background(tab, theme):
 def test_the_ghost_stands_out_from_the_ground_in_the_colour_of_the_legend(tab, theme):
     tab.page.emulate_media(color_scheme=theme)
     tab.drawn()
-    ghost, *grounds = tab.page.evaluate("""() => {
+    names = tab.page.evaluate("""() => {
       const style = getComputedStyle(document.documentElement);
       return ['--ghost', '--sky', '--ground'].map((name) => style.getPropertyValue(name).trim()); }""")
-    assert tab.state("v.stage.ghostMaterial.color.getHexString()") == ghost.lstrip("#")
+    ghost, *grounds = ([int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names)
+    assert tab.state("v.stage.ghostMaterial.color.getHexString()") == names[0].lstrip("#")
     assert min(contrast(ghost, ground) for ground in grounds) > 3  # WCAG AA, of what is no text
     drawn = tab.page.evaluate("getComputedStyle(document.querySelector('#legend-ghost i')).borderTopColor")
-    assert [int(part) for part in re.findall(r"\d+", drawn)] == [int(ghost[k : k + 2], 16) for k in (1, 3, 5)]
+    assert [int(part) for part in re.findall(r"\d+", drawn)] == ghost
 
 
 def contrast(first, second):
-    """Ratio of the luminances of two colours such as #3a6ea5, as WCAG defines it."""
-
-    def luminance(colour):
-        parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
-        linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
-        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2] + 0.05
-
-    small, large = sorted((luminance(first), luminance(second)))
+    """Ratio of the luminances of two colours, each red, green and blue from 0 to 255, as WCAG defines it."""
+    parts = np.array([first, second]) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    small, large = sorted(linear @ [0.2126, 0.7152, 0.0722] + 0.05)
     return large / small
 
 
 def test_names_from_files_are_shown_as_text(show, scene, tmp_path):
     hostile = "</script><img src=x onerror=alert(1)>"
     poses = dataclasses.replace(scene.poses, labels=(hostile, *scene.poses.labels[1:]))
-    spoiled = dataclasses.replace(
-        scene,
-        title=hostile,
-        poses=poses,
-        notes=(hostile,),
-        bodies=dataclasses.replace(scene.bodies, names=(hostile, *scene.bodies.names[1:])),
-    )
+    bodies = dataclasses.replace(scene.bodies, names=(hostile, *scene.bodies.names[1:]))
+    spoiled = dataclasses.replace(scene, title=hostile, poses=poses, notes=(hostile,), bodies=bodies)
     tab = show(scene_page(spoiled).save(tmp_path / "viewer.html").as_uri())
     tab.page.locator("#show-frames").click()
     assert tab.page.locator("#title").inner_text() == hostile
@@ -343,8 +320,6 @@ def test_names_from_files_are_shown_as_text(show, scene, tmp_path):
 
 
 def test_a_robot_without_poses_shows_no_controls_for_them(show, tmp_path):
-    from tests.viz.viz_examples import medrue_robot
-
     tab = show(scene_page(build_scene(medrue_robot())).save(tmp_path / "viewer.html").as_uri())
     for name in ("#pose-block", "#state-block", "#legend", "#ghost-row"):
         assert not tab.page.locator(name).is_visible()
@@ -355,11 +330,9 @@ def test_a_robot_without_poses_shows_no_controls_for_them(show, tmp_path):
 
 def test_without_webgl_the_numbers_still_work(chromium, viewer_file):
     tab = Tab(chromium)
-    tab.page.add_init_script(
-        "HTMLCanvasElement.prototype.getContext = ((get) => function (kind, ...rest) {"
-        " return kind.includes('webgl') ? null : get.call(this, kind, ...rest); })"
-        "(HTMLCanvasElement.prototype.getContext)"
-    )
+    tab.page.add_init_script("""HTMLCanvasElement.prototype.getContext = ((get) => function (kind, ...rest) {
+      return kind.includes('webgl') ? null : get.call(this, kind, ...rest); })
+      (HTMLCanvasElement.prototype.getContext)""")
     tab.open(viewer_file.as_uri())
     assert "WebGL" in tab.page.locator(".fatal").first.inner_text()
     tab.page.locator("#next").click()

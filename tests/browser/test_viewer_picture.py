@@ -97,27 +97,27 @@ BRIGHTNESS = """async (where) => { // of a picture on white: its middle value an
 
 @pytest.mark.quick(0)
 def test_the_report_is_dark_where_the_system_is_but_not_on_paper(chromium, result_pages):
-    tab = Tab(chromium, color_scheme="dark").open((result_pages / "report.html").as_uri())
-    tab.page.evaluate("calibrationReport.all()")
     ground = "getComputedStyle(document.body).backgroundColor"
-    assert tab.page.evaluate(ground) == "rgb(22, 28, 35)"
-    red, green, blue = grade_colour(tab)
-    assert green > 1.2 * max(red, blue)  # PASS is green
-    ink = tab.page.evaluate("calibrationReport.charts[0].ink")
-    assert min(int(ink[k : k + 2], 16) for k in (1, 3, 5)) > 180  # light text on the page's own ground
-    tab.page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
-    shown = "calibrationReport.charts[0].views[0].model.below[0].major_label_text_color"
-    assert tab.page.evaluate(shown) in (ink, {"value": ink})  # as before
-    for picture in (".panel > img", "#still"):
-        middle, darkest = tab.page.evaluate(BRIGHTNESS, picture)
-        assert middle > 200  # paper
-        assert darkest < 60  # dark text on it
-    tab.page.emulate_media(media="print", color_scheme="dark")
-    assert tab.page.evaluate(ground) == "rgb(255, 255, 255)"
-    red, green, blue = grade_colour(tab)
-    assert green > 1.2 * max(red, blue)
-    assert not tab.page.locator("#space").is_visible()
-    tab.context.close()
+    with Tab(chromium, color_scheme="dark") as tab:
+        tab.open((result_pages / "report.html").as_uri())
+        tab.page.evaluate("calibrationReport.all()")
+        assert tab.page.evaluate(ground) == "rgb(22, 28, 35)"
+        red, green, blue = grade_colour(tab)
+        assert green > 1.2 * max(red, blue)  # PASS is green
+        ink = tab.page.evaluate("calibrationReport.charts[0].ink")
+        assert min(int(ink[k : k + 2], 16) for k in (1, 3, 5)) > 180  # light text on the page's own ground
+        tab.page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        shown = "calibrationReport.charts[0].views[0].model.below[0].major_label_text_color"
+        assert tab.page.evaluate(shown) in (ink, {"value": ink})  # as before
+        for picture in (".panel > img", "#still"):
+            middle, darkest = tab.page.evaluate(BRIGHTNESS, picture)
+            assert middle > 200  # paper
+            assert darkest < 60  # dark text on it
+        tab.page.emulate_media(media="print", color_scheme="dark")
+        assert tab.page.evaluate(ground) == "rgb(255, 255, 255)"
+        red, green, blue = grade_colour(tab)
+        assert green > 1.2 * max(red, blue)
+        assert not tab.page.locator("#space").is_visible()
 
 
 def grade_colour(tab):

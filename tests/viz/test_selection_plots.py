@@ -1,4 +1,6 @@
-"""Figures of check and select: drawn without a window, the same every time."""
+"""Figures of check and select: drawn without a window, the same every time. Pages and figures through entry points."""
+
+from importlib.metadata import entry_points
 
 import numpy as np
 import pytest
@@ -9,6 +11,8 @@ from calib.pictures import figures
 from calib.planning.assessment import check
 from calib.planning.selection import select
 from medrue.workspace import target_workspace
+from tests.viz.viz_examples import medrue_fit
+from viz import pictures
 from viz.selection_plots import accuracy, assessment_figures, index_history, selection_figures, singular_values
 
 Q = target_workspace().q[::6]
@@ -56,11 +60,18 @@ def test_figures_are_svg_and_the_same_twice(assessment, selection):
     assert b"mathdefault" not in first["accuracy.svg"]
 
 
-def test_the_engine_finds_them_by_entry_point(selection):
+def test_a_fit_has_two_pages_and_the_entry_points_are_installed():
+    result = pictures.pages(medrue_fit(validation=None))
+    assert set(result) == {"report.html", "viewer.html"}
+    assert all(page.startswith(b"<!DOCTYPE html>") for page in result.values())
+    assert {(entry.name, entry.value) for entry in entry_points(group="calib.pictures")} >= {("view", "viz.pictures")}
+    assert {entry.name for entry in entry_points(group="viz.decorations")} >= {"medrue"}
+    with pytest.raises(TypeError, match="no figures of int"):
+        pictures.figures(3)
+
+
+def test_the_engine_finds_them_by_entry_point_and_says_where_nothing_draws(monkeypatch, selection):
     assert set(figures(selection)) == {"index.svg"}
-
-
-def test_without_anything_that_draws_it_is_said(monkeypatch, selection):
     monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
     with pytest.raises(calib.InputError, match="nothing that draws is installed"):
         figures(selection)

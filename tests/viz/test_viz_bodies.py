@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-import calib
 from medrue.workspace import target_workspace
+from tests.urdf_trees import plain
 from tests.viz.viz_examples import exaggerated, medrue_robots
 from viz.bodies import bodies_of, posed_robot
 
@@ -75,15 +75,9 @@ def test_names_are_unique_although_the_measurement_frame_may_share_a_link_name(p
 
 
 def test_a_follower_joint_moves_with_its_leader(tmp_path):
-    path = tmp_path / "gripper.urdf"
-    path.write_text("""<robot name="g"><link name="r"/><link name="a"/><link name="b"/><link name="c"/>
-    <joint name="j" type="prismatic"><parent link="r"/><child link="a"/><axis xyz="0 0 1"/>
-     <limit lower="0" upper="1" effort="1" velocity="1"/></joint>
-    <joint name="k" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
-     <mimic joint="j" multiplier="2"/>
-     <limit lower="-9" upper="9" effort="1" velocity="1"/></joint>
-    <joint name="l" type="fixed"><parent link="b"/><child link="c"/><origin xyz="1 0 0"/></joint></robot>""")
-    robot = calib.load(path)
+    up, twice = '<axis xyz="0 0 1"/>', '<mimic joint="j" multiplier="2"/>'
+    finger = ("l", "fixed", "b", "c", '<origin xyz="1 0 0"/>')
+    robot = plain(tmp_path, ("j", "prismatic", "r", "a", up), ("k", "revolute", "a", "b", up + twice), finger)
     bodies = bodies_of(robot)
     q = np.array([[0.3]])
     drawn = bodies.poses(posed_robot(robot, bodies, q), 0)[bodies.names.index("c")]

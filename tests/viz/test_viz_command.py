@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import medrue
 from tests.child_programs import start
-from tests.viz.viz_examples import medrue_fit
+from tests.viz.viz_examples import LOST_MESH, medrue_fit
 from viz.command import view
 
 ROBOT = str(medrue.robot_file())
@@ -59,10 +59,7 @@ def test_wrong_input_ends_with_2_and_one_line(arguments, message):
 
 def test_a_missing_mesh_is_told_and_is_no_error(tmp_path):
     path = tmp_path / "arm.urdf"
-    path.write_text("""<robot name="arm">
-     <link name="root"><visual><geometry><mesh filename="lost.stl"/></geometry></visual></link>
-     <link name="tip"/><joint name="a" type="revolute"><parent link="root"/><child link="tip"/>
-     <origin xyz="1 0 0"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>""")
+    path.write_text(LOST_MESH)
     outcome = run(str(path), "--html", str(tmp_path / "view.html"))
     assert outcome.exit_code == 0
     assert "lost.stl" in outcome.stderr
@@ -71,13 +68,9 @@ def test_a_missing_mesh_is_told_and_is_no_error(tmp_path):
 @pytest.mark.quick(0)
 @pytest.mark.parametrize("end", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.amount(0, 1))])
 def test_it_serves_until_it_is_stopped_and_then_ends_in_order(end, folder):
-    program = "from viz.command import view; view()"
-    process = start(
-        [sys.executable, "-c", program, ROBOT, "--result", folder, "--no-browser"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    program, pipe = "from viz.command import view; view()", subprocess.PIPE
+    command = [sys.executable, "-c", program, ROBOT, "--result", folder, "--no-browser"]
+    process = start(command, stdout=pipe, stderr=pipe, text=True)
     try:
         url = process.stdout.readline()
         port, path = re.fullmatch(r"http://127\.0\.0\.1:(\d+)(/.*/)\n", url).groups()

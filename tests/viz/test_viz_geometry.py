@@ -21,8 +21,8 @@ URDF = """<robot name="arm">
 </robot>"""
 
 
-def visual(geometry, material="", origin='<origin xyz="0 0 0.1" rpy="0 0 0"/>'):
-    return f"<visual>{origin}<geometry>{geometry}</geometry>{material}</visual>"
+def visual(geometry, material=""):
+    return f'<visual><origin xyz="0 0 0.1" rpy="0 0 0"/><geometry>{geometry}</geometry>{material}</visual>'
 
 
 def robot(tmp_path, root="", upper=""):
@@ -32,13 +32,9 @@ def robot(tmp_path, root="", upper=""):
 
 
 def test_primitives_keep_size_place_and_colour(tmp_path):
-    shapes, notes = read_shapes(
-        robot(
-            tmp_path,
-            visual('<box size="1 2 3"/>', '<material name="red"/>'),
-            visual('<cylinder radius="0.1" length="0.5"/>') + visual('<sphere radius="0.2"/>'),
-        )
-    )
+    red = visual('<box size="1 2 3"/>', '<material name="red"/>')
+    grey = visual('<cylinder radius="0.1" length="0.5"/>') + visual('<sphere radius="0.2"/>')
+    shapes, notes = read_shapes(robot(tmp_path, red, grey))
     assert notes == ()
     assert [(shape.kind, shape.size, shape.body) for shape in shapes] == [
         ("box", (1.0, 2.0, 3.0), "root"),
@@ -113,9 +109,8 @@ def test_collision_shapes_are_drawn_where_there_are_no_visuals(tmp_path):
 
 
 def test_missing_meshes_share_one_note(tmp_path):
-    shapes, notes = read_shapes(
-        robot(tmp_path, visual('<mesh filename="lost.stl"/>'), visual('<mesh filename="gone.stl"/>'))
-    )
+    lost, gone = (visual(f'<mesh filename="{name}.stl"/>') for name in ("lost", "gone"))
+    shapes, notes = read_shapes(robot(tmp_path, lost, gone))
     assert len(notes) == 1
     assert "lost.stl" in notes[0]
     assert "1 more link: upper" in notes[0]
@@ -167,11 +162,8 @@ def test_medrue_has_its_rail_carriage_five_bars_support_and_reflector():
     assert notes == ()
     bodies = {shape.body for shape in shapes}
     assert {"base", "carriage", "probe_support", "tool"} <= bodies
-    assert {
-        f"{kind}_{letter}{number}"
-        for number in (1, 2)
-        for kind, letter in (("proximal", "A"), ("proximal", "C"), ("distal", "B"), ("distal", "D"))
-    } <= bodies
+    bars = {f"{name}{number}" for name in ("proximal_A", "proximal_C", "distal_B", "distal_D") for number in (1, 2)}
+    assert bars <= bodies
     reflector = next(shape for shape in shapes if shape.body == "tool" and shape.kind == "sphere")
     assert reflector.size[0] == pytest.approx(0.01905)  # 1.5 inch
 

@@ -5,7 +5,6 @@ import re
 
 import numpy as np
 import pytest
-import yaml
 from scipy.spatial.transform import Rotation
 
 import calib
@@ -15,7 +14,7 @@ from calib.core.instruments.kinds import KINDS
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.rows.observed import predict_readings
 from tests.six_axis_arm import FREE, joints, write_six_axis
-from tests.viz.viz_examples import undrawn, words_of
+from tests.viz.viz_examples import saved_scene, undrawn, words_of
 from viz.error_charts import error_charts
 from viz.inputs import gather
 from viz.instrument_shapes import instrument_shapes
@@ -51,17 +50,11 @@ def test_a_target_that_was_not_seen_has_no_row(tmp_path):
     positions[::4, 1] = np.nan
     fit = calib.fit(robot, calib.as_measurements(robot, q, positions))
     table = from_fit(fit)
-    assert list(zip(table.labels, table.targets, strict=True))[:4] == [
-        ("0", "ball"),
-        ("1", "ball"),
-        ("1", "second"),
-        ("2", "ball"),
-    ]
+    assert (table.labels[:4], table.targets[:4]) == (("0", "1", "1", "2"), ("ball", "ball", "second", "ball"))
     assert len(table) == 70
     np.testing.assert_allclose(table.measured[2], positions[1, 1])
     np.testing.assert_allclose(table.after[2], fit.robot.positions(q[:2])[1, 1], atol=1e-10)
-    fit.save(tmp_path / "out", pages=False)
-    saved = gather(robot, tmp_path / "out").scene.poses
+    saved = saved_scene(fit, tmp_path).poses
     assert (saved.labels, saved.targets) == (table.labels, table.targets)
     np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
     assert undrawn(fit).count("<figure") == 10
@@ -81,8 +74,7 @@ def test_repeats_of_a_pose_are_one_row_with_the_mean_of_their_readings(tmp_path)
     np.testing.assert_allclose(table.measured[2], positions[[3, 5], 0].mean(axis=0))
     np.testing.assert_allclose(table.measured[3], positions[3:6, 1].mean(axis=0))
     np.testing.assert_allclose(table.sigma, fit.sigma / np.sqrt(table.readings))
-    fit.save(tmp_path / "out", pages=False)
-    saved = gather(robot, tmp_path / "out").scene.poses
+    saved = saved_scene(fit, tmp_path).poses
     for name in ("measured", "before", "after", "sigma", "spread"):
         np.testing.assert_allclose(getattr(saved, name), getattr(table, name), rtol=1e-6, atol=1e-12)
     assert (saved.readings.tolist(), saved.place.tolist()) == (table.readings.tolist(), table.place.tolist())
@@ -101,8 +93,7 @@ def test_poses_are_shown_by_their_positions(pose_fit, tmp_path):
     np.testing.assert_allclose(table.measured[:40], values[:, :3])
     np.testing.assert_allclose(table.error("after")[:40], pose_fit.identification.after["ball"][:, :3], atol=1e-15)
     np.testing.assert_allclose(table.sigma, pose_fit.sigma)
-    pose_fit.save(tmp_path / "out", pages=False)
-    saved = gather(pose_fit.nominal, tmp_path / "out").scene.poses
+    saved = saved_scene(pose_fit, tmp_path).poses
     np.testing.assert_allclose(saved.measured, table.measured, atol=1e-12)
     np.testing.assert_allclose(saved.error("after"), table.error("after"), atol=1e-12)
     np.testing.assert_allclose(saved.sigma, table.sigma)
@@ -162,15 +153,14 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     assert [chart.name for chart in error_charts(fit, scene)] == [
         f"distance-{name}" for name in ("errors", "order", "planes", "by-joint")
     ]
-    fit.save(tmp_path / "out", pages=False)
-    saved = saved_scene = gather(robot, tmp_path / "out").scene
+    saved = saved_scene(fit, tmp_path)
     for name in ("anchors", "before", "after", "residuals_before", "residuals_after"):
         np.testing.assert_allclose(getattr(saved.readings[0], name), getattr(shown_errors, name), rtol=1e-5, atol=1e-9)
     assert (saved.readings[0].labels, saved.readings[0].targets) == (shown_errors.labels, shown_errors.targets)
     np.testing.assert_allclose(saved.poses.after, table.after, atol=1e-9)
     np.testing.assert_allclose(saved.poses.before, table.before, atol=1e-9)
     off = fit.identification.tables()["ball"]["distance"]
-    for shown in (scene, saved_scene):
+    for shown in (scene, saved):
         (other,) = shown.others
         assert (other["of"], other["part"], other["unit"]) == ("ball", "distance", "mm")
         (errors,) = other["sets"]
@@ -184,20 +174,17 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
 
 
 def test_readings_of_several_instruments_have_one_headline_and_the_report_draws_wires_and_points(tmp_path):
-    ends = "{wire: [2, 1, 0], other: [2, -1, 0], third: [1.5, 0, 1.5]}"
-    wires = [
-        f"{name}: {{kind: distance, target: ball, sigma: 0.05 mm, end: {{frame: l0, xyz: {xyz}}}}}"
-        for name, xyz in yaml.safe_load(ends).items()
-    ]
+    ends = {"wire": [2, 1, 0], "other": [2, -1, 0], "third": [1.5, 0, 1.5]}
+    rope = "{}: {{kind: distance, target: ball, sigma: 0.05 mm, end: {{frame: l0, xyz: {}}}}}"
+    wires = [rope.format(name, xyz) for name, xyz in ends.items()]
     robot = arm(tmp_path, f"instruments: {{{', '.join(wires)}}}\n")
     fit = calib.fit(robot, calib.simulate(bent(robot), joints(60), None, np.random.default_rng(4)))
-    after = 1e3 * np.abs(np.concatenate([fit.identification.after[name] for name in ("wire", "other", "third")]))
-    fit.save(tmp_path / "out")
-    for scene in (scene_of_fit(fit), gather(robot, tmp_path / "out").scene):
+    after = 1e3 * np.abs(np.concatenate([fit.identification.after[name] for name in ends]))
+    for scene in (scene_of_fit(fit), saved_scene(fit, tmp_path)):
         headline, *each = scene_data(scene)["others"]
         assert (headline["of"], headline["part"], headline["several"]) == ("3 instruments", "distance", True)
         assert headline["sets"][0]["after"] == pytest.approx([np.sqrt(np.mean(after**2)), after.max()], rel=1e-9)
-        assert [item["of"] for item in each] == ["wire", "other", "third"]
+        assert [item["of"] for item in each] == list(ends)
 
 
 def test_poses_at_which_nothing_was_read_are_not_counted_and_have_no_error(tmp_path):
@@ -213,16 +200,11 @@ def test_poses_at_which_nothing_was_read_are_not_counted_and_have_no_error(tmp_p
 
 @pytest.mark.quick(0)
 def test_a_tracker_can_validate_what_distances_identified(tmp_path):
-    robot = arm(
-        tmp_path,
-        "instruments: {wire: {kind: distance, target: ball, sigma: 0.05 mm}, ball: {kind: position, sigma: 0.05 mm}}\n",
-    )
+    wire, ball = "wire: {kind: distance, target: ball, sigma: 0.05 mm}", "ball: {kind: position, sigma: 0.05 mm}"
+    robot = arm(tmp_path, f"instruments: {{{wire}, {ball}}}\n")
     data = calib.simulate(bent(robot), joints(140), None, np.random.default_rng(4))
-    used, other = data.subset(np.arange(120)), data.subset(np.arange(120, 140))
-    used, other = (
-        dataclasses.replace(part, readings={name: part.readings[name]})
-        for part, name in ((used, "wire"), (other, "ball"))
-    )
+    parts = ((data[:120], "wire"), (data[120:], "ball"))
+    used, other = (dataclasses.replace(part, readings={name: part.readings[name]}) for part, name in parts)
     fit = calib.fit(robot, used, validation=other)
     table = from_fit(fit)
     assert (len(table), int(np.isfinite(table.error("after")).all(axis=1).sum())) == (240 + 20, 20)
@@ -231,16 +213,13 @@ def test_a_tracker_can_validate_what_distances_identified(tmp_path):
     assert scene.states == ("before", "after")
     rows = {row["group"]: row["after"] for row in scene_data(scene)["summary"]}
     assert rows["identification"] is None
-    assert rows["validation"]["rms"] == pytest.approx(
-        1e3 * np.sqrt(np.mean(np.sum(fit.validation.after["ball"] ** 2, axis=1))), rel=1e-9
-    )
+    squares = np.sum(fit.validation.after["ball"] ** 2, axis=1)
+    assert rows["validation"]["rms"] == pytest.approx(1e3 * np.sqrt(np.mean(squares)), rel=1e-9)
     shown = words_of(undrawn(fit))
     assert "Position error (RMS) before and after calibration, 20 poses (validation)" in shown
     assert "Distance error [mm] poses" in shown
     assert "noise of one reading 0.0" in shown
-    fit.save(tmp_path / "out", pages=False)
-    saved = gather(robot, tmp_path / "out").scene.poses
-    np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
+    np.testing.assert_allclose(saved_scene(fit, tmp_path).poses.after, table.after, atol=1e-9)
 
 
 def test_points_of_a_later_setup_are_shown_in_the_frame_of_the_first(tmp_path):
@@ -256,11 +235,10 @@ def test_points_of_a_later_setup_are_shown_in_the_frame_of_the_first(tmp_path):
     first, later = (np.array([target == name for target in table.targets]) for name in ("ball", "ball@second"))
     np.testing.assert_allclose(table.measured[later], table.measured[first], atol=1e-6)
     np.testing.assert_allclose(table.after[later], table.after[first], atol=1e-6)
-    fit.save(tmp_path / "out", pages=False)
-    shown = gather(robot, tmp_path / "out")
-    saved = shown.scene.poses
+    saved = saved_scene(fit, tmp_path).poses
     assert saved.targets == table.targets
     np.testing.assert_allclose(saved.measured, table.measured, atol=1e-9)
+    shown = gather(robot, tmp_path / "out")
     np.testing.assert_allclose(shown.ghost.values, fit.placed.values, atol=1e-6)
 
 
@@ -297,10 +275,8 @@ def test_what_measures_and_what_it_looks_at_is_drawn_where_the_robot_has_it(tmp_
     for rope, end in zip(ropes, robot.positions(q)[:, 1], strict=True):
         np.testing.assert_allclose(rope.T_body_shape[:3, 3], np.mean([end, [1, 0, 0]], axis=0), atol=1e-9)
         assert rope.size[1] == pytest.approx(np.linalg.norm(end - [1, 0, 0]))
-    edge = drawn["eye/edge0"]
-    along = (
-        edge.T_body_shape[:3, 2] / edge.T_body_shape[2, 2]
-    )  # in the camera's frame, to the first corner of the image
+    edge = drawn["eye/edge0"].T_body_shape
+    along = edge[:3, 2] / edge[2, 2]  # in the camera's frame, to the first corner of the image
     np.testing.assert_allclose(800 * along[:2] + [500, 400], [0, 0], atol=1e-9)
 
 
@@ -356,18 +332,14 @@ def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_
     actual, q = bent(nominal), joints(3)
     made = actual.assemble(q)
     touches = {"probe": np.array([1.0, 0.0, 1.0])[:, None], "table": np.zeros((3, 1))}
+    details = touches | {"wire": np.zeros((3, 0)), "turned": np.zeros((3, 0)), "eye": np.ones((3, 1))}
     none = np.zeros(3, dtype=np.intp)
-    looks = {name: Readings(np.arange(3), none, np.zeros((3, 0)), None, which) for name, which in touches.items()}
-    looks |= {"wire": Readings(np.arange(3), none, np.zeros((3, 0)), None, np.zeros((3, 0)))}
-    looks |= {"turned": looks["wire"], "eye": Readings(np.arange(3), none, np.zeros((3, 0)), None, np.ones((3, 1)))}
+    looks = {name: Readings(np.arange(3), none, np.zeros((3, 0)), None, which) for name, which in details.items()}
     read = predict_readings(actual, made, looks)
-    read |= {
-        name: dataclasses.replace(looks[name], values=np.zeros((3, k))) for name, k in (("probe", 3), ("table", 1))
-    }
-    by_name = {
-        layer.part.name: layer
-        for layer in reading_errors_of_measurements(measurements(as_poses(nominal, q), read), nominal, actual)
-    }
+    for name, k in (("probe", 3), ("table", 1)):
+        read[name] = dataclasses.replace(looks[name], values=np.zeros((3, k)))
+    layers = reading_errors_of_measurements(measurements(as_poses(nominal, q), read), nominal, actual)
+    by_name = {layer.part.name: layer for layer in layers}
     ball, second = nominal.positions(q).transpose(1, 0, 2)
     sockets = np.array([[0.5, 0.4, 0.1], [0.5, 0.2, 0.1], [0.5, 0.4, 0.1]])
     np.testing.assert_allclose(by_name["contact"].anchors, sockets, atol=1e-12)
@@ -382,9 +354,7 @@ def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_
     np.testing.assert_allclose(by_name["distance"].before, off * along / longer, atol=1e-9)
     np.testing.assert_allclose(by_name["distance"].after, 0, atol=1e-12)
     body, moved = nominal.forward(q, "l6"), by_name["pixel"].before
-    ray = np.einsum("nij,j->ni", body[:, :3], [-0.05, 0, 0.08, 1]) + np.array(
-        [0, 0, 3]
-    )  # to q, 10 mm along x of the target
+    ray = body[:, :3] @ [-0.05, 0, 0.08, 1] + [0, 0, 3]  # to q, 10 mm along x of the target
     np.testing.assert_allclose(np.sum(moved * ray, axis=1), 0, atol=1e-9)  # square to the line of sight
     back = ray - moved
     missed = 800 * back[:, :2] / back[:, 2:] + [500, 400] - read["eye"].values  # by the pinhole

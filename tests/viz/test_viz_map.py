@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from tests.viz.viz_examples import medrue_fit
+from tests.viz.viz_examples import five_bar_fit, medrue_fit
 from viz.inputs import gather
 from viz.poses import PredictingRobot
 from viz.scene import scene_of_fit
@@ -22,12 +22,7 @@ def arm():
 
 def test_error_and_uncertainty_are_those_of_the_engine(arm):
     fit, table, result = arm
-    q = np.concatenate(
-        [
-            calib.sample(fit.robot, 30, seed=SEED).joints,
-            calib.sample(fit.robot, 30, seed=SEED, within=table.joints).joints,
-        ]
-    )
+    q = np.concatenate([calib.sample(fit.robot, 30, seed=SEED, within=of).joints for of in (None, table.joints)])
     after, before = fit.robot.positions(q)[:, 0], fit.placed.positions(q)[:, 0]
     np.testing.assert_allclose(result.places, after, atol=1e-12)
     np.testing.assert_allclose(result.error, np.linalg.norm(before - after, axis=1), atol=1e-12)
@@ -57,9 +52,8 @@ def test_ellipsoids_hold_ninety_five_of_a_hundred_draws_of_the_prediction(arm):
 
 
 def test_a_robot_that_moves_in_a_plane_was_measured_within_an_outline():
-    robot = calib.load("docs/examples/five_bar.yaml")
-    fit = calib.fit(robot, calib.read_measurements("docs/examples/five_bar_simulated.csv", robot))
-    result = gather(robot, fit, mapped=100).scene.map
+    fit = five_bar_fit()
+    result = gather(fit.nominal, fit, mapped=100).scene.map
     assert 10 < np.sum(result.is_inside) < 100
     corners = np.unique(result.hull.reshape(-1, 3), axis=0)
     assert len(corners) == len(result.hull)  # a closed polygon has as many edges as corners

@@ -18,8 +18,13 @@ from viz.recording import recording
 from viz.scene import scene_of_fit
 
 
-def entries(chunks, path):
+def recorded(scene, folder):
     """The columns of each entity of a recording, as rerun itself reads them."""
+    pytest.importorskip("rerun", reason="extra 'rerun'")
+    chunks = pytest.importorskip("rerun.chunk", reason="a rerun that reads recordings")
+    path = folder / "scene.rrd"
+    path.write_bytes(recording(scene))
+    assert path.stat().st_size < 3e6
     read: dict[str, dict[str, list]] = {}
     for chunk in chunks.RrdReader(str(path)).stream():
         table, columns = chunk.to_record_batch(), read.setdefault(chunk.entity_path, {})
@@ -29,18 +34,10 @@ def entries(chunks, path):
 
 
 def test_a_recording_holds_the_points_of_every_image_and_arrows_to_where_they_are_predicted(tmp_path):
-    pytest.importorskip("rerun", reason="extra 'rerun'")
-    chunks = pytest.importorskip("rerun.chunk", reason="a rerun that reads recordings")
     robot, q = calib.load(write_six_axis(tmp_path, pixel.YAML)), joints(12, 3)
-    fit = calib.fit(
-        robot,
-        pixel.data_of(
-            robot, q, pixel.photographs(robot.with_parameters(pixel.TRUTH), q, *pixel.places(1)), pixel.SIGMA, 2
-        ),
-    )
-    path = tmp_path / "images.rrd"
-    path.write_bytes(recording(scene_of_fit(fit)))
-    read = entries(chunks, path)
+    table = pixel.photographs(robot.with_parameters(pixel.TRUTH), q, *pixel.places(1))
+    fit = calib.fit(robot, pixel.data_of(robot, q, table, pixel.SIGMA, 2))
+    read = recorded(scene_of_fit(fit), tmp_path)
     for name, readings in fit.identification.data.readings.items():
         points = [np.array(image) for image in read[f"/images/{name}"]["Points2D:positions"]]
         visits = [readings.visits == visit for visit in np.unique(readings.visits)]
@@ -56,14 +53,10 @@ def test_a_recording_holds_the_points_of_every_image_and_arrows_to_where_they_ar
 
 
 def test_a_recording_holds_the_robot_and_the_errors_of_every_row(tmp_path):
-    """Read by rerun itself: links as `forward` has them, stretched to their calibrated lengths, and the residuals."""
-    pytest.importorskip("rerun", reason="extra 'rerun'")
-    chunks = pytest.importorskip("rerun.chunk", reason="a rerun that reads recordings")
+    """Links as `forward` has them, stretched to their calibrated lengths, and the residuals."""
     fit = five_bar_fit()
-    scene, path = scene_of_fit(fit), tmp_path / "fit.rrd"
-    path.write_bytes(recording(scene))
-    assert path.stat().st_size < 3e6
-    read = entries(chunks, path)
+    scene = scene_of_fit(fit)
+    read = recorded(scene, tmp_path)
     rows = scene.poses.subset(scene.shown)
     predicted = fit.robot.forward(rows.joints)[:, :3, 3]
     for number, name in enumerate(scene.bodies.names):
@@ -73,9 +66,8 @@ def test_a_recording_holds_the_robot_and_the_errors_of_every_row(tmp_path):
             M = np.tile(np.eye(4), (scene.n_rows, 1, 1))
             M[:, :3, :3] = np.reshape(drawn["Transform3D:mat3x3"], (-1, 3, 3)).swapaxes(1, 2)  # column by column
             M[:, :3, 3] = np.reshape(drawn["Transform3D:translation"], (-1, 3))
-            np.testing.assert_allclose(
-                M, fit.robot.forward(rows.joints, name) @ scene.solid.stretches[number], atol=2e-6
-            )  # of single precision
+            expected = fit.robot.forward(rows.joints, name) @ scene.solid.stretches[number]
+            np.testing.assert_allclose(M, expected, atol=2e-6)  # of single precision
     arrows, factor = read["/scene/position/after"], scene.vector_factors[0]["after"]
     np.testing.assert_allclose(np.array(arrows["Arrows3D:origins"][0]), rows.measured, atol=1e-6)
     np.testing.assert_allclose(np.array(arrows["Arrows3D:vectors"][0]) / factor, predicted - rows.measured, atol=1e-9)

@@ -5,32 +5,20 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
+from tests.viz.viz_examples import pose_table
 from viz.fit_plots import draw_course, draw_histogram, draw_normal, draw_residuals
-from viz.poses import PoseTable
 from viz.scene import ViewerJoint
 from viz.svg import new_figure, plain_ticks, svg_file, with_style
 
 JOINTS = (ViewerJoint("q1", "mm", 1e3), ViewerJoint("shoulder $a_1$ <b>", "deg", 180 / np.pi))
 
 
-def table(n=60, fitted=40, scale=1.0, place=None):
+def table(n=60, fitted=40, scale=1.0):
     generator = np.random.default_rng(4)
-    measured = generator.normal(size=(n, 3))
-    return PoseTable(
-        generator.normal(size=(n, 2)),
-        measured,
-        measured + generator.normal(0, 5e-3, (n, 3)),
-        measured + scale * generator.normal(0, 4e-5, (n, 3)),
-        np.full(n, 4e-5),
-        np.zeros((n, 3)),
-        ("identification",) * fitted + ("validation",) * (n - fitted),
-        np.arange(n) == 3,
-        tuple(map(str, range(n))),
-        ("tool",) * n,
-        np.ones(n, dtype=np.intp),
-        ("file.csv",) * n,
-        np.arange(n) if place is None else place,
-    )
+    q, measured = generator.normal(size=(n, 2)), generator.normal(size=(n, 3))
+    before, after = (measured + size * generator.normal(size=(n, 3)) for size in (5e-3, 4e-5 * scale))
+    group = ("identification",) * fitted + ("validation",) * (n - fitted)
+    return pose_table(q, measured, before, after, spread=np.zeros((n, 3)), group=group, outlier=np.arange(n) == 3)
 
 
 @with_style

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import calib
-from tests.viz.viz_examples import measurements, medrue_fit, medrue_robot, pose_table, spoiled
+from tests.viz.viz_examples import measurements, medrue_fit, medrue_robot, pose_table, saved_scene, spoiled, spoiled_fit
+from viz.inputs import gather
 from viz.pose_sources import from_fit, from_measurements
 from viz.poses import empty
 
@@ -31,10 +32,6 @@ def test_the_table_of_a_fit_holds_its_errors(fit):
     assert table.group.count("identification") == 84
     np.testing.assert_allclose(table.error("before")[:84], fit.identification.before["tool"], atol=1e-15)
     np.testing.assert_allclose(table.error("after")[84:], fit.validation.after["tool"], atol=1e-15)
-
-
-def test_predictions_of_a_fit_agree_with_the_robots(fit):
-    table = from_fit(fit)
     np.testing.assert_allclose(table.after, fit.robot.positions(table.joints)[:, 0], atol=1e-10)
     np.testing.assert_allclose(table.before, fit.nominal.positions(table.joints)[:, 0], atol=1e-10)
 
@@ -53,23 +50,21 @@ def test_the_spread_of_predictions_agrees_with_random_parameters(fit):
 
 
 def test_a_wrong_reading_is_marked_where_it_is():
-    wrong = spoiled(measurements(np.arange(0, 420, 5)))
-    table = from_fit(calib.fit(medrue_robot(), wrong))
+    table = from_fit(spoiled_fit())
     assert np.flatnonzero(table.outlier).tolist() == [10]
     assert set(table.group) == {"identification"}
 
 
-def test_outliers_that_were_left_out_stay_in_the_table():
-    wrong = spoiled(measurements(np.arange(0, 420, 5)))
-    fit = calib.fit(medrue_robot(), wrong, exclude_outliers=True)
-    table = from_fit(fit)
-    assert table.group.count("identification") == 83
-    row = table.group.index("left out")
-    assert table.outlier[row]
-    assert table.labels[row] == "50"
-    np.testing.assert_allclose(
-        table.error("after")[row, 2], -1e-3, atol=2e-4
-    )  # noise and uncertainty of the prediction
+def test_outliers_that_were_left_out_stay_in_the_table_also_of_a_folder(tmp_path):
+    fit = spoiled_fit(exclude_outliers=True)
+    own, saved = gather(fit.nominal, fit).scene, saved_scene(fit, tmp_path)
+    assert own.notes == saved.notes == ()
+    np.testing.assert_allclose(saved.poses.error("after"), own.poses.error("after"), rtol=0, atol=1e-12)
+    for table in (own.poses, saved.poses):
+        assert table.group.count("identification") == 83
+        row = table.group.index("left out")
+        assert (row, table.outlier[row], table.labels[row]) == (83, True, "50")
+        assert table.error("after")[row, 2] == pytest.approx(-1e-3, abs=2e-4)  # noise and uncertainty of the prediction
 
 
 def test_residuals_over_an_unknown_sigma_are_unknown():
@@ -80,10 +75,8 @@ def test_residuals_over_an_unknown_sigma_are_unknown():
 def test_a_result_folder_gives_the_same_table(tmp_path):
     wrong = spoiled(measurements(np.arange(0, 420, 5)))
     fit = calib.fit(medrue_robot(), wrong, validation=measurements(np.arange(3, 420, 9), seed=2))
-    fit.save(str(tmp_path / "out"), pages=False)
-    saved, table = from_fit(calib.load_result(tmp_path / "out").fit), from_fit(fit)
-    assert saved.group == table.group
-    assert saved.labels == table.labels
+    saved, table = saved_scene(fit, tmp_path).poses, from_fit(fit)
+    assert (saved.group, saved.labels) == (table.group, table.labels)
     assert saved.outlier.tolist() == table.outlier.tolist()
     assert saved.outlier.sum() >= 1
     for name in ("joints", "measured", "before", "after", "sigma", "spread"):

@@ -8,6 +8,7 @@ import pytest
 import calib
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
+from tests.urdf_trees import plain, urdf_of
 from tests.viz.viz_examples import medrue_robots, pose_table
 from viz.decorations import decorations_of
 from viz.judgement import judgement_of_result
@@ -77,9 +78,7 @@ def test_the_first_camera_looks_at_the_points_from_outside_and_above(robots):
 
 def test_everything_lies_inside_the_box_and_the_outline(robots):
     scene = build_scene(*robots, table(robots))
-    points = np.vstack(
-        [scene.poses.after @ scene.view.upright.T, *(s.corners() @ scene.view.upright.T for s in scene.decorations)]
-    )
+    points = np.vstack([scene.poses.after, *(shape.corners() for shape in scene.decorations)]) @ scene.view.upright.T
     assert np.all(points >= scene.view.low - 1e-12)
     assert np.all(points <= scene.view.high + 1e-12)
     for direction in np.random.default_rng(2).normal(size=(20, 3)):
@@ -88,9 +87,7 @@ def test_everything_lies_inside_the_box_and_the_outline(robots):
 
 def test_a_hanging_robot_is_shown_as_its_root_link_stands(tmp_path):
     path = tmp_path / "hanging.yaml"
-    (tmp_path / "arm.urdf").write_text("""<robot name="arm"><link name="root"/><link name="tip"/>
-     <joint name="a" type="revolute"><parent link="root"/><child link="tip"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
-     <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>""")
+    (tmp_path / "arm.urdf").write_text(urdf_of(("a", "revolute", "root", "tip", '<origin xyz="0 0 1"/>')))
     path.write_text(
         "urdf: arm.urdf\nname_mot: [a]\nbase: {frame: root, rpy: [3.141592653589793, 0, 0]}\n"
         "targets: {tip: {frame: tip}}\nparametrisation: [{origin: a, components: [x], sigma: 1 mm}]\n"
@@ -101,12 +98,8 @@ def test_a_hanging_robot_is_shown_as_its_root_link_stands(tmp_path):
 
 
 def test_the_ghost_of_a_robot_with_unknown_base_stands_on_the_solid_base(tmp_path):
-    path = tmp_path / "arm.urdf"
-    path.write_text("""<robot name="arm"><link name="root"/><link name="l"/><link name="tip"/>
-     <joint name="a" type="revolute"><parent link="root"/><child link="l"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
-     <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-     <joint name="b" type="fixed"><parent link="l"/><child link="tip"/><origin xyz="1 0 0"/></joint></robot>""")
-    nominal = calib.load(path)
+    turn = ("a", "revolute", "root", "l", '<origin xyz="0 0 1"/><axis xyz="0 1 0"/>')
+    nominal = plain(tmp_path, turn, ("b", "fixed", "l", "tip", '<origin xyz="1 0 0"/>'))
     base = nominal.mechanism.origin_names[nominal.mechanism.targets[0].a - 1]
     scene = build_scene(nominal, nominal.with_parameters({f"{base}.x": 5.0, "b.x": 1.1}))
     solid, ghost = (scene.bodies.poses(robot, 0) for robot in (scene.solid, scene.ghost))
@@ -115,19 +108,10 @@ def test_the_ghost_of_a_robot_with_unknown_base_stands_on_the_solid_base(tmp_pat
     assert np.linalg.norm(ghost[end] - solid[end]) == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize(
-    ("typical", "expected", "factor"),
-    [
-        (1e-3, 0.05, 50.0),
-        (1e-3, 0.049, 20.0),
-        (1.0, 0.05, 1.0),
-        (1e-9, 0.05, 1000.0),
-        (float("nan"), 0.05, 1.0),
-        (0.0, 0.05, 1.0),
-    ],
-)
-def test_exaggerations_are_round_numbers(typical, expected, factor):
-    assert nice_factor(typical, expected) == factor
+def test_exaggerations_are_round_numbers():
+    assert nice_factor(1e-3, 0.049) == 20.0
+    expected = {1e-3: 50.0, 1.0: 1.0, 1e-9: 1000.0, float("nan"): 1.0, 0.0: 1.0}
+    assert {typical: nice_factor(typical, 0.05) for typical in expected} == expected
 
 
 @pytest.mark.parametrize("code", ["nothing_to_correct", "no_gain"])

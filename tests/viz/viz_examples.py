@@ -15,6 +15,8 @@ from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
+from tests.urdf_trees import plain
+from viz.inputs import gather
 from viz.poses import PoseTable
 from viz.report_page import report_page
 
@@ -46,6 +48,30 @@ def five_bar_fit():
     return calib.fit(calib.load(folder / "five_bar.yaml"), folder / "five_bar_simulated.csv", validation=0.25)
 
 
+@functools.cache
+def spoiled_fit(**options):
+    """A fit of readings of which one is 1 mm off."""
+    return calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), **options)
+
+
+def saved_scene(fit, folder):
+    """What the viewer shows of a result folder."""
+    fit.save(folder / "out", pages=False)
+    return gather(fit.nominal, folder / "out").scene
+
+
+LOST_MESH = """<robot name="arm">
+ <link name="root"><visual><geometry><mesh filename="lost.stl"/></geometry></visual></link><link name="tip"/>
+ <joint name="a" type="revolute"><parent link="root"/><child link="tip"/><origin xyz="1 0 0"/><axis xyz="0 1 0"/>
+ <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def outside_addresses(html):
+    """Where a page would ask others for something."""
+    shown = re.sub(r"<script.*?</script>", "", html, flags=re.S)
+    return re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?(?!["']?(?:data:|#))""", shown)
+
+
 def undrawn(fit, **options):
     """The report of a fit without its scripts, which are long."""
     return re.sub(r"<script.*?</script>", "", report_page(fit, created=NOON, **options).html, flags=re.S)
@@ -62,19 +88,12 @@ LONG_NAMES = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist
 
 def long_named_fit(folder, repeats=5):
     """An arm with the names that robots have, not those of papers, measured several times at each pose."""
-    joints, links, parent = "", '<link name="root"/>', "root"
-    for k, (name, axis) in enumerate(
-        zip(LONG_NAMES, ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1", "0 1 0"), strict=True)
-    ):
-        links += f'<link name="link_{k}"/>'
-        joints += f"""<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="link_{k}"/>
-          <origin xyz="0 {0.05 * k:.2f} 0.2"/><axis xyz="{axis}"/>
-          <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>"""
-        parent = f"link_{k}"
-    flange = f'<link name="flange"/><joint name="end" type="fixed"><parent link="{parent}"/><child link="flange"/>'
-    path = folder / "arm.urdf"
-    path.write_text(f'<robot name="long names">{links}{joints}{flange}<origin xyz="0.05 0 0.1"/></joint></robot>')
-    robot, generator = calib.load(path), np.random.default_rng(3)
+    joints = [
+        (name, "revolute", f"link_{k}", f"link_{k + 1}", f'<origin xyz="0 {0.05 * k:.2f} 0.2"/><axis xyz="{axis}"/>')
+        for k, (name, axis) in enumerate(zip(LONG_NAMES, ("0 0 1", *3 * ["0 1 0"], "0 0 1", "0 1 0"), strict=True))
+    ]
+    robot = plain(folder, *joints, ("end", "fixed", "link_6", "flange", '<origin xyz="0.05 0 0.1"/>'))
+    generator = np.random.default_rng(3)
     q = np.repeat(generator.uniform(-1.5, 1.5, (40, 6)), repeats, axis=0)
     names = tuple(str(k // repeats + 1) for k in range(len(q)))
     true = robot.with_parameters(robot.values + 3e-4 * generator.standard_normal(len(robot.values)))

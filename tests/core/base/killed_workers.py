@@ -1,6 +1,6 @@
 """Programs of which one worker process is killed at any moment: does the program end, and with every result?
 
-    python -m tests.core.base.killed_workers [--pool ours|loky|standard] [--runs 60] [--seed 1] [--within 30]
+    python -m tests.core.base.killed_workers [--runs 60] [--seed 1] [--within 30]
 
 Each program shares work over two processes, whose results of 300 kB are nearly always half-way through a pipe, and goes
 on once more after the loss. It prints how many programs ended with all results (complete), were ended by force after so
@@ -18,9 +18,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import suppress
-from multiprocessing import get_context
 
 import psutil
 
@@ -39,18 +37,9 @@ def result_of(number: int) -> bytes:
     return bytes([number]) * _SIZE
 
 
-def two_processes(pool: str) -> Executor | int:
-    """The processes that a program shares its work over."""
-    if pool == "loky":
-        import loky  # not everybody has it
-
-        return loky.ProcessPoolExecutor(2)
-    return ProcessPoolExecutor(2, get_context("spawn")) if pool == "standard" else 2
-
-
-def program(pool: str) -> None:
+def program() -> None:
     """Share work until standard input ends, then once more; say when the processes work, and when all was right."""
-    with Workers(two_processes(pool)) as executor:
+    with Workers(2) as executor:
         last, began = False, False
         while not last:
             last = bool(select.select([sys.stdin], [], [], 0)[0])
@@ -76,10 +65,10 @@ def workers_of(process: int) -> list[psutil.Process]:
     return workers
 
 
-def outcome(pool: str, chance: random.Random, within: float) -> str:
+def outcome(chance: random.Random, within: float) -> str:
     """Run a program, kill one of its workers, and return how it ended; whatever it did, nothing of it is left."""
     pipe = subprocess.PIPE
-    arguments = [sys.executable, "-m", "tests.core.base.killed_workers", "--program", pool]
+    arguments = [sys.executable, "-m", "tests.core.base.killed_workers", "--program"]
     started = subprocess.Popen(
         arguments, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, start_new_session=True, cwd=ROOT
     )
@@ -105,18 +94,17 @@ def outcome(pool: str, chance: random.Random, within: float) -> str:
 def main() -> int:
     """Try, print what came out, and return 1 if anything was wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--pool", choices=("ours", "loky", "standard"), default="ours")
     parser.add_argument("--runs", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--within", type=float, default=30.0, help="seconds after which a program counts as hung")
-    parser.add_argument("--program", help=argparse.SUPPRESS)
+    parser.add_argument("--program", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.program:
-        program(options.program)
+        program()
         return 0
     chance = random.Random(options.seed)
-    outcomes = Counter(outcome(options.pool, chance, options.within) for _ in range(options.runs))
-    print(f"{options.pool}, {options.runs} programs, seed {options.seed}: {dict(outcomes)}")
+    outcomes = Counter(outcome(chance, options.within) for _ in range(options.runs))
+    print(f"{options.runs} programs, seed {options.seed}: {dict(outcomes)}")
     return int(outcomes["complete"] < options.runs)
 
 

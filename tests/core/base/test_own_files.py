@@ -12,7 +12,6 @@ from calib.core.base.files import write_file, write_files, write_folder
 from tests.project import EXAMPLES
 
 FOREIGN = "# my only measurements\nx,y\n1,2\n"
-PROGRAM = "; a part\nG21\nG90\nG28\nG1 X10 Y10 Z50 F3000\nG1 X30 Y-10\n"
 
 
 @pytest.fixture
@@ -73,27 +72,26 @@ def test_what_this_program_wrote_is_an_input_as_well(here, run_calib):
     refused(run_calib("select", "arm.yaml", "p.csv", "--count", 15, "--out", "p.csv", cwd=here), here, before, "p.csv")
 
 
-def commands():
-    """Every command that writes a file `out.*`, without what it takes to write it."""
-    return {
-        "init": ["init", "arm.urdf", "--out", "out.yaml"],
-        "sample": ["sample", "arm.yaml", "--count", 5, "--seed", 1, "--out", "out.csv"],
-        "simulate": ["simulate", "arm.yaml", "d.csv", "--seed", 1, "--out", "out.csv"],
-        "select": ["select", "arm.yaml", "d.csv", "--count", 20, "--out", "out.csv"],
-        "predict": ["predict", "arm.yaml", "d.csv", "--out", "out.csv"],
-        "export": ["export", "arm.yaml", "--format", "dh", "--out", "out.csv"],
-        "xacro": ["export", "arm.yaml", "--format", "xacro", "--out", "out.xacro"],
-        "mjcf": ["export", "arm.yaml", "--format", "mjcf", "--out", "out.xml"],
-        "json": ["check", "arm.yaml", "d.csv", "--json", "out.json"],
-        "view": ["view", "arm.yaml", "--html", "out.html"],
-    }
+COMMANDS = (
+    "init arm.urdf --out out.yaml",
+    "sample arm.yaml --count 5 --seed 1 --out out.csv",
+    "simulate arm.yaml d.csv --seed 1 --out out.csv",
+    "select arm.yaml d.csv --count 20 --out out.csv",
+    "predict arm.yaml d.csv --out out.csv",
+    "export arm.yaml --format dh --out out.csv",
+    "export arm.yaml --format xacro --out out.xacro",
+    "export arm.yaml --format mjcf --out out.xml",
+    "check arm.yaml d.csv --json out.json",
+    "view arm.yaml --html out.html",
+)
+"""Every command that writes a file, which is the last word."""
 
 
 @pytest.mark.quick(1)
-@pytest.mark.parametrize("name", commands())
-def test_a_file_of_somebody_else_stays_and_its_own_is_written_again(here, run_calib, name):
-    command = commands()[name]
-    out = here / next(str(word) for word in command if str(word).startswith("out."))
+@pytest.mark.parametrize("words", COMMANDS)
+def test_a_file_of_somebody_else_stays_and_its_own_is_written_again(here, run_calib, words):
+    command = words.split()
+    out = here / command[-1]
     out.write_text(FOREIGN)
     refused(run_calib(*command, cwd=here), here, contents(here), "was not written by this program")
     out.unlink()
@@ -105,27 +103,18 @@ def test_a_file_of_somebody_else_stays_and_its_own_is_written_again(here, run_ca
 
 
 @pytest.mark.quick(0)
-def test_a_program_is_not_compensated_in_place(here, run_calib, fitted):
-    fitted.save(here / "fit", pages=False)
-    shutil.copy(here / "d.csv", here / "moves.csv")
-    before = contents(here)
-    command = ["compensate", "arm.yaml", "moves.csv", "--result", "fit", "--out"]
-    refused(run_calib(*command, "moves.csv", cwd=here), here, before, "is read by this command")
-    for _ in range(2):
-        assert run_calib(*command, "told.csv", cwd=here).code == 0
-
-
-@pytest.mark.quick(0)
-def test_g_code_that_was_compensated_is_known_again_and_its_program_stays(tmp_path, run_calib):
-    for name in ("delta.yaml", "delta.urdf"):
+def test_a_program_is_not_compensated_in_place(tmp_path, run_calib):
+    for name in ("delta.yaml", "delta.urdf", "delta_simulated.csv"):
         shutil.copy(EXAMPLES / name, tmp_path)
     robot = calib.load(tmp_path / "delta.yaml")
-    fit = calib.fit(robot, calib.read_measurements(EXAMPLES / "delta_simulated.csv", robot))
-    fit.save(tmp_path / "fit", pages=False)
-    (tmp_path / "part.gcode").write_text(PROGRAM)
+    calib.fit(robot, tmp_path / "delta_simulated.csv").save(tmp_path / "fit", pages=False)
+    (tmp_path / "part.gcode").write_text("; a part\nG21\nG90\nG28\nG1 X10 Y10 Z50 F3000\nG1 X30 Y-10\n")
     before = contents(tmp_path)
-    command = ["compensate", "delta.yaml", "part.gcode", "--result", "fit"]
-    refused(run_calib(*command, "--out", "part.gcode", cwd=tmp_path), tmp_path, before, "is read by this command")
+    for program in ("part.gcode", "delta_simulated.csv"):
+        command = ("compensate", "delta.yaml", program, "--result", "fit", "--out")
+        refused(run_calib(*command, program, cwd=tmp_path), tmp_path, before, "is read by this command")
+    for _ in range(2):
+        assert run_calib(*command, "told.csv", cwd=tmp_path).code == 0
 
 
 @pytest.mark.quick(0)

@@ -48,9 +48,10 @@ def test_a_blas_that_is_loaded_inside_the_function_has_one_thread_as_well():
         (pages, "viz.scene.scene_of_fit"),
         (partial(unexplained_errors, sized=False), "calib.core.fitting.unexplained.likeliest_sizes"),
         (lambda fit: verify(fit, fit.identification.data), "calib.core.judging.acceptance.without_outliers"),
+        (lambda fit: fit.save("never", pages=False), "calib.core.results.results._covariance_table"),
     ],
 )
-def test_pages_what_they_ask_for_and_verdicts_on_new_readings_are_computed_with_one_thread(compute, within):
+def test_pages_results_and_verdicts_on_new_readings_are_computed_with_one_thread(compute, within):
     """On two busy cores, two threads took a second of the time of a page of 300 poses."""
     threads = set()
 

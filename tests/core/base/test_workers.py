@@ -35,17 +35,35 @@ if __name__ == "__main__":
 """
 
 
+ALWAYS_SENDING = """
+import sys
+
+try:
+    from calib.core.base.workers import Workers, results_in_order
+
+    if __name__ == "__main__":
+        print(1, 2, flush=True)
+        with Workers(2) as executor:
+            while True:
+                list(results_in_order(bytes, [300_000] * 20, executor))
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
 BUSY = 60.0
 """More seconds than a busy machine needs for anything here; the work takes twice as long."""
 
 
 @contextmanager
-def started(folder: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
+def started(
+    folder: Path, *arguments: str, text: str = PROGRAM, group: bool = False
+) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
     """The program at work, and the reading end of the pipe that it and its processes write to."""
     script = folder / "program.py"
-    script.write_text(PROGRAM)
+    script.write_text(text)
     reading, writing = os.pipe()
-    program = start([sys.executable, script, *arguments], stdout=writing, stderr=subprocess.DEVNULL)
+    command = [sys.executable, script, *arguments]
+    program = start(command, stdout=writing, stderr=subprocess.DEVNULL, start_new_session=group)
     os.close(writing)
     try:
         said, byte = b"", b" "
@@ -83,19 +101,9 @@ class Forgetful(Executor):
         return future
 
 
-def killed_once(task: tuple[str, int]) -> int:
-    """Square a number; the first worker that is asked for the square of 2 dies."""
-    folder, number = task
-    grave = Path(folder) / "grave"
-    if number == 2 and not grave.exists():
-        grave.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number**2
-
-
-def dies_half_way(task: tuple[str, int]) -> bytes:
-    """Return some bytes; the first worker that is asked for the third dies when half of its answer is in the pipe."""
-    folder, number = task
+def dies_once(task: tuple[str, str, int]) -> bytes:
+    """Return some bytes; the first worker that is asked for the third dies, or when half of its answer is sent."""
+    folder, moment, number = task
     grave = Path(folder) / "grave"
 
     def send_half(line: Connection, message: bytes) -> None:
@@ -104,6 +112,8 @@ def dies_half_way(task: tuple[str, int]) -> bytes:
 
     if number == 2 and not grave.exists():
         grave.touch()
+        if moment == "at once":
+            os.kill(os.getpid(), signal.SIGKILL)
         Connection._send = send_half  # type: ignore[attr-defined]
     return bytes([number] * 1000)
 
@@ -111,7 +121,7 @@ def dies_half_way(task: tuple[str, int]) -> bytes:
 @pytest.mark.amount(1, 3)
 def test_programs_of_which_a_worker_is_killed_at_any_moment_end_with_all_results(amount: int) -> None:
     chance = random.Random(1)
-    assert [outcome("ours", chance, BUSY) for _ in range(amount)] == ["complete"] * amount
+    assert [outcome(chance, BUSY) for _ in range(amount)] == ["complete"] * amount
 
 
 class Unreadable:
@@ -179,18 +189,12 @@ def test_work_that_is_lost_again_and_again_is_an_error() -> None:
 
 
 @pytest.mark.quick(0)
-def test_processes_that_die_are_replaced(tmp_path: Path) -> None:
-    tasks = [(str(tmp_path), k) for k in range(6)]
+@pytest.mark.parametrize("moment", ["at once", "half way"])
+def test_processes_that_die_are_replaced(tmp_path: Path, moment: str) -> None:
     with Workers(2) as executor:
-        assert list(results_in_order(killed_once, tasks, executor)) == [0, 1, 4, 9, 16, 25]
+        answers = list(results_in_order(dies_once, [(str(tmp_path), moment, k) for k in range(6)], executor))
+        assert answers == [bytes([k] * 1000) for k in range(6)]
         assert list(results_in_order(abs, [-1], executor)) == [1]
-
-
-@pytest.mark.quick(0)
-def test_a_process_that_dies_half_way_through_its_answer_is_replaced(tmp_path: Path) -> None:
-    with Workers(2) as executor:
-        answers = list(results_in_order(dies_half_way, [(str(tmp_path), k) for k in range(6)], executor))
-    assert answers == [bytes([k] * 1000) for k in range(6)]
 
 
 def test_work_or_an_answer_that_cannot_be_read_is_an_error_and_waits_for_nothing() -> None:
@@ -202,9 +206,9 @@ def test_work_or_an_answer_that_cannot_be_read_is_an_error_and_waits_for_nothing
 
 
 def test_where_an_executor_breaks_with_its_worker_the_rest_is_done_here(tmp_path: Path) -> None:
-    tasks = [(str(tmp_path), k) for k in range(6)]
+    tasks = [(str(tmp_path), "at once", k) for k in range(6)]
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
-        assert list(results_in_order(killed_once, tasks, executor)) == [0, 1, 4, 9, 16, 25]
+        assert list(results_in_order(dies_once, tasks, executor)) == [bytes([k] * 1000) for k in range(6)]
 
 
 def test_an_error_in_the_work_reaches_the_caller_and_signals_are_as_before() -> None:
@@ -215,10 +219,7 @@ def test_an_error_in_the_work_reaches_the_caller_and_signals_are_as_before() -> 
 
 
 @pytest.mark.quick(1)
-@pytest.mark.parametrize(
-    "number",
-    [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL],
-)
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_processes_end_with_their_program_and_hold_no_pipe_open(number: signal.Signals, tmp_path: Path) -> None:
     """The pipe reaches its end only when the program and all of its processes are gone."""
     with started(tmp_path) as (program, output):
@@ -231,39 +232,13 @@ def test_processes_end_with_their_program_and_hold_no_pipe_open(number: signal.S
 @pytest.mark.amount(2, 12)
 def test_ctrl_c_ends_program_and_processes_at_any_moment(tmp_path: Path, amount: int) -> None:
     """As a terminal sends it, to all of them; at most moments a large result is half-way through a pipe."""
-    script, chance = tmp_path / "program.py", random.Random(1)
-    script.write_text(ALWAYS_SENDING)
+    chance = random.Random(1)
     for _ in range(amount):
-        reading, writing = os.pipe()
-        program = start([sys.executable, script], stdout=writing, start_new_session=True)
-        os.close(writing)
-        try:
-            assert select.select([reading], [], [], BUSY)[0]
+        with started(tmp_path, text=ALWAYS_SENDING, group=True) as (program, output):
             time.sleep(chance.uniform(0, 0.7))  # processes start, and then send
             os.killpg(program.pid, signal.SIGINT)
             assert program.wait(BUSY) == 130
-            os.read(reading, 1)
-            assert ended(reading)
-        finally:
-            program.kill()
-            program.wait(BUSY)
-            os.close(reading)
-
-
-ALWAYS_SENDING = """
-import sys
-
-try:
-    from calib.core.base.workers import Workers, results_in_order
-
-    if __name__ == "__main__":
-        print(end="1", flush=True)
-        with Workers(2) as executor:
-            while True:
-                list(results_in_order(bytes, [300_000] * 20, executor))
-except KeyboardInterrupt:
-    sys.exit(130)
-"""
+            assert ended(output)
 
 
 def test_work_that_was_left_half_way_does_not_mix_with_the_next() -> None:

@@ -31,21 +31,24 @@ def arm_with(folder, terms="", more=""):
     return calib.load(write_six_axis(folder, YAML + FREE + terms + more))
 
 
-@pytest.fixture(scope="module")
-def true_tip(tmp_path_factory):
+def true_tip_of(arm):
     """Where the ball is when joints are truly somewhere, by Pinocchio; origins off by a millimetre or so."""
-    arm = arm_with(tmp_path_factory.mktemp("true"))
     true = arm.with_parameters({"j2.x": 0.0512, "j3.z": 0.5991, "j4.ry": 2e-3, "j5.z": 1e-3})
     tip = tip_of(urdf_links(urdf_of_origins(true)), true)
     return lambda q: (tip(q) @ [0.05, 0.02, 0.1, 1.0])[:, :3]
 
 
-def measured(robot, true_tip, n, seed, *, off=0.0, more=None):
-    """What the arm with its gears really reads; all joints off by `off`, a fifth joint by `more` times column 1."""
+@pytest.fixture(scope="module")
+def true_tip(tmp_path_factory):
+    return true_tip_of(arm_with(tmp_path_factory.mktemp("true")))
+
+
+def measured(robot, true_tip, n, seed, *, more=0.0):
+    """What the arm with its gears really reads, the fifth joint off by `more` times the first."""
     rng = np.random.default_rng(seed)
     q = MIDDLE + rng.uniform(-0.7, 0.7, (n, 6))
-    actual = q + GAIN * (q - MIDDLE) + off
-    actual[:, 4] += 0.0 if more is None else more * q[:, 0]
+    actual = q + GAIN * (q - MIDDLE)
+    actual[:, 4] += more * q[:, 0]
     return calib.as_measurements(robot, q, true_tip(actual) + SIGMA * rng.standard_normal((n, 3)))
 
 
@@ -103,14 +106,10 @@ def test_from_python_the_same_files_come_out(fit, folder, tmp_path):
     for robot, name in ((fit.robot, "a"), (calib.load(folder), "b"), (pickle.loads(pickle.dumps(fit.robot)), "c")):
         calib.export(robot, tmp_path / f"{name}.urdf", "urdf")
         calib.export(robot, tmp_path / f"{name}.csv", "joint-offsets")
-    contents = [_numbers(tmp_path / f"{name}.urdf") for name in "abc"]
+    contents = [_numbers_of((tmp_path / f"{name}.urdf").read_bytes()) for name in "abc"]
     np.testing.assert_allclose(contents[1], contents[0], rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(contents[2], contents[0], rtol=1e-12, atol=1e-15)
-    assert _numbers_of(fit.robot.calibrated_urdf()) == _numbers(tmp_path / "a.urdf")
-
-
-def _numbers(path):
-    return _numbers_of(path.read_bytes())
+    assert _numbers_of(fit.robot.calibrated_urdf()) == contents[0]
 
 
 def _numbers_of(source):
@@ -128,16 +127,13 @@ def test_the_result_holds_these_robots_and_how_sure_they_are(fit, folder):
         std = np.sqrt(np.diag(own.covariance.values))
         np.testing.assert_allclose(uncertainty.covariance, own.covariance.values, atol=1e-12 * np.max(std) ** 2)
         assert uncertainty.coverage_factor == pytest.approx(own.statistics.coverage_factor, rel=1e-12)
-    assert list(loaded.robot.files) == list(read_names(folder)) == [h for h in Holds if h is not Holds.TO_LAST_AXIS]
+    told = [Holds[entry["holds"].upper()] for entry in read_content(folder)["files"]]
+    assert list(loaded.robot.files) == told == [holds for holds in Holds if holds is not Holds.TO_LAST_AXIS]
     for holds, file in loaded.robot.files.items():
         stated, result = file.accuracy, fit.robot.files[holds].accuracy
         assert (stated.poses, stated.n_poses, stated.part) == (PoseUse.VALIDATION, 40, "position")
         assert (stated.rms, stated.limit95, stated.before) == pytest.approx((result.rms, result.limit95, result.before))
         np.testing.assert_allclose(file.offsets, fit.robot.files[holds].offsets, rtol=1e-14, atol=1e-17)
-
-
-def read_names(folder):
-    return [Holds[entry["holds"].upper()] for entry in read_content(folder)["files"]]
 
 
 def test_files_report_and_verdict_say_what_they_are_worth(fit, folder):
@@ -148,9 +144,8 @@ def test_files_report_and_verdict_say_what_they_are_worth(fit, folder):
     assert f"the whole model {1e3 * whole.rms:.4f} mm" in urdf
     report = fit.report(verbose=True)
     row = next(line for line in report.splitlines() if "│ joint origins " in line)
-    assert [float(cell) for cell in row.split("│")[2:4]] == pytest.approx(
-        [1e3 * origins.rms, 1e3 * origins.limit95], abs=6e-5
-    )
+    expected = [1e3 * origins.rms, 1e3 * origins.limit95]
+    assert [float(cell) for cell in row.split("│")[2:4]] == pytest.approx(expected, abs=6e-5)
     said = next(reason for reason in fit.verdict.reasons if reason.code == "file_holds_less")
     assert f"{1e3 * origins.rms:.4f} mm RMS" in said.text
 
@@ -210,9 +205,8 @@ def test_what_a_format_has_no_place_for_is_fitted_as_it_is(tmp_path):
     true = ur_robot(tmp_path, {"left_tool_mount.x": 3e-3, "left_elbow_joint.x": 2e-3, "left_wrist_2_joint.z": -1e-3})
     rng = np.random.default_rng(8)
     train, test = (rng.uniform(-2.5, 2.5, (n, 6)) for n in (40, 30))
-    data = [calib.as_measurements(nominal, q, true.positions(q) + 1e-5 * rng.standard_normal((len(q), 1, 3)))
-            for q in (train, test)]  # fmt: skip
-    fit = calib.fit(nominal, data[0], validation=data[1])
+    points = [true.positions(q) + 1e-5 * rng.standard_normal((len(q), 1, 3)) for q in (train, test)]
+    fit = calib.fit(nominal, train, points[0], validation=calib.as_measurements(nominal, test, points[1]))
     fit.save(tmp_path / "out", pages=False)
     robot = calib.load(tmp_path / "out")
     held = robot.held_by(Holds.TO_LAST_AXIS)
@@ -230,14 +224,9 @@ def test_what_a_format_has_no_place_for_is_fitted_as_it_is(tmp_path):
     assert robot.files[Holds.TO_LAST_AXIS].accuracy.rms < 0.9 * left
 
 
-WARM = """\
-  - {joint: all, term: temperature, sigma: 0.2 mrad}
-"""
-
-
 def warm_and_cold(folder, true_tip):
     """Measured warm, used cold: zeros that follow the temperature, which origins take for their own."""
-    arm = arm_with(folder, WARM)
+    arm = arm_with(folder, "  - {joint: all, term: temperature, sigma: 0.2 mrad}\n")
     rng = np.random.default_rng(9)
     rows = {}
     for name, n, warm in (("train", 60, (8.0, 12.0)), ("test", 40, (-1.0, 1.0))):
@@ -295,10 +284,9 @@ def test_it_is_the_robot_in_the_file_that_is_worse(withheld, tmp_path):
         calib.export(fit.robot, tmp_path / "x.urdf", "urdf")
     calib.export(fit.robot, tmp_path / "x.urdf", "urdf", force=True)
     tip = in_file(arm, "urdf", tmp_path / "x.urdf")
-    file, nominal = (
-        np.sqrt(np.mean(np.sum(((item(test.joints) @ [0.05, 0.02, 0.1, 1])[:, :3] - test.points(arm)[:, 0]) ** 2, 1)))
-        for item in (tip, tip_of(urdf_links(arm.urdf.source), arm))
-    )
+    both, points = (tip, tip_of(urdf_links(arm.urdf.source), arm)), test.points(arm)[:, 0]
+    off = [(item(test.joints) @ [0.05, 0.02, 0.1, 1])[:, :3] - points for item in both]
+    file, nominal = np.sqrt(np.mean(np.sum(np.square(off), axis=2), axis=1))
     accuracy = fit.robot.files[Holds.ORIGINS].accuracy
     assert (accuracy.rms, accuracy.before) == pytest.approx((file, nominal), rel=1e-6)
     assert file > nominal
@@ -355,8 +343,9 @@ def test_terms_that_stay_at_zero_are_no_loss(tmp_path, true_tip):
     fit.save(tmp_path / "out", pages=False)
     robot = calib.load(tmp_path / "out")
     assert fit.reduced == {}
-    assert b"<!--" not in (tmp_path / "out" / "calibrated.urdf").read_bytes()
-    np.testing.assert_allclose(_numbers_of(robot.calibrated_urdf()), _numbers(tmp_path / "out" / "calibrated.urdf"))
+    written = (tmp_path / "out" / "calibrated.urdf").read_bytes()
+    assert b"<!--" not in written
+    np.testing.assert_allclose(_numbers_of(robot.calibrated_urdf()), _numbers_of(written))
     calib.export(robot, tmp_path / "robot.yaml", "toolbox")
     calib.load(tmp_path / "robot.yaml")  # which holds no term that is not there
 
@@ -398,9 +387,7 @@ def test_a_loop_with_terms_and_a_named_parametrisation(tmp_path, medrue):
 
 def test_a_robot_that_is_taken_as_it_is_is_no_worse_than_itself(tmp_path, true_tip):
     """The robot before has its places from all poses; each pose left out is placed by the others."""
-    yaml = YAML.replace("base: {frame: l0}", "base: {frame: l0, pose: unknown}").replace(
-        "parametrisation:", "parametrisation: []"
-    )
+    yaml = YAML.replace("{frame: l0}", "{frame: l0, pose: unknown}").replace("parametrisation:", "parametrisation: []")
     placed = calib.load(write_six_axis(tmp_path, yaml))
     fit = calib.fit(placed, measured(placed, true_tip, 40, 7))
     assert "before" not in fit.verdict.claim.words

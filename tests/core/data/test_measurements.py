@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.base.errors import DataError
 from calib.core.data.measurement_files import format_measurements, format_positions, read_measurements, read_poses
 from calib.core.data.measurements import with_points
+from tests.core.data.test_tables import complaint
 from tests.project import EXAMPLES
-from tests.small_robots import ARM_YAML, small_arm, write_arm
+from tests.small_robots import ARM_YAML, write_arm
 
 HEADER = "pose,turn [deg],slide [mm],wrist,tip_x [mm],tip_y,tip_z [um]\n"
-
-
-@pytest.fixture
-def arm(tmp_path):
-    return small_arm(tmp_path)
+TWO_BALLS = ARM_YAML.replace("targets:\n", "targets:\n  elbow: {frame: slider}\n")
+TWO_INSTRUMENTS = (
+    TWO_BALLS + "instruments:\n  tracker: {kind: position, target: tip}\n  arm: {kind: position, target: elbow}\n"
+)
+BOTH = "turn,slide,wrist,tracker_x,tracker_y,tracker_z,arm_x,arm_y,arm_z\n"
 
 
 @pytest.fixture
@@ -30,12 +30,6 @@ def read(tmp_path, arm):
         return reader(path, robot)
 
     return read_text
-
-
-def complaint(function, *arguments, **options):
-    with pytest.raises(DataError) as caught:
-        function(*arguments, **options)
-    return str(caught.value)
 
 
 def test_columns_are_found_by_name_in_any_order_and_converted(arm, read):
@@ -78,6 +72,10 @@ def test_rows_of_one_pose_with_other_joint_values_are_refused(read, second, mess
     assert text.endswith("rows with the same pose value must repeat one pose")
 
 
+NOISY = "turn,slide,wrist,tip_x,tip_y,tip_z,{}\n0,0,0,1,2,3,{}\n"
+STD = "tip_std_x,tip_std_y,tip_std_z"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -85,10 +83,17 @@ def test_rows_of_one_pose_with_other_joint_values_are_refused(read, second, mess
         ("turn,slide,tip_x,tip_y,tip_z\n0,0,0,0,0\n", "no column 'wrist'"),
         ("turns,slide,wrist,tip_x,tip_y,tip_z\n0,0,0,0,0,0\n", "no column 'turn'; did you mean 'turns'?"),
         ("turn,slide,wrist,tip_x,tip_z\n0,0,0,0,0\n", "no column 'tip_y'; the file has turn, slide, wrist"),
-        ("turn,slide,wrist,tipp_x,tip_y,tip_z\n0,0,0,0,0,0\n", "no column 'tip_x'; did you mean 'tipp_x'? The file"),
         ("turn [mm],slide,wrist,tip_x,tip_y,tip_z\n0,0,0,0,0,0\n", "column 'turn': unit 'mm' is for a length"),
         ("turn,slide [deg],wrist,tip_x,tip_y,tip_z\n0,0,0,0,0,0\n", "column 'slide': unit 'deg' is for an angle"),
         ("turn,slide,wrist,tip_x,tip_y,tip_z\n0,0,0,0,nan,0\n", "line 2, column 'tip_y': 'nan' is not finite"),
+        (HEADER + "a,0,0,0,1,,3\n", "line 2, column 'tip_y': is empty; fill it in, or leave all cells of 'tip' empty"),
+        (HEADER + "a,0,0,0,,,\n", "all cells of the measured columns are empty"),
+        (HEADER + "a,0,,0,1,2,3\n", "line 2, column 'slide': is empty"),
+        (NOISY.format("tip_std_x,tip_std_y", "1,1"), "no column 'tip_std_z' beside 'tip_std_x'; give all standard"),
+        (NOISY.format("tip_corr_x_y", "0.5"), "no column 'tip_std_x' beside 'tip_corr_x_y'; give all standard"),
+        (NOISY.format(STD, "1,,1"), "line 2, column 'tip_std_y': is empty; fill it in, because this row has a reading"),
+        (NOISY.format(STD, "1,0,1"), "line 2, column 'tip_std_y': a standard deviation must be positive"),
+        (NOISY.format(f"{STD},tip_corr_x_y", "1,1,1,1.2"), "line 2: the correlations of 'tip' contradict each other"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_named_with_its_place(read, text, message):
@@ -112,8 +117,7 @@ def test_foreign_columns_are_mapped_by_the_description(tmp_path, read):
 
 
 def test_several_targets_are_kept_in_the_order_of_the_description(tmp_path, read):
-    yaml = ARM_YAML.replace("targets:\n", "targets:\n  elbow: {frame: slider}\n")
-    robot = calib.load(write_arm(tmp_path, yaml))
+    robot = calib.load(write_arm(tmp_path, TWO_BALLS))
     data = read("turn,slide,wrist,tip_x,tip_y,tip_z,elbow_x,elbow_y,elbow_z\n0,0,0,1,2,3,4,5,6\n", robot)
     assert robot.target_names == ("elbow", "tip")
     assert data.points(robot).tolist() == [[[4.0, 5.0, 6.0], [1.0, 2.0, 3.0]]]
@@ -121,10 +125,8 @@ def test_several_targets_are_kept_in_the_order_of_the_description(tmp_path, read
 
 def test_what_is_written_reads_back(arm, read):
     generator = np.random.default_rng(5)
-    poses = read(
-        "turn,slide,wrist\n" + "\n".join(f"{a},{b},{c}" for a, b, c in generator.uniform(0, 1, (20, 3))),
-        reader=read_poses,
-    )
+    rows = "\n".join(f"{a},{b},{c}" for a, b, c in generator.uniform(0, 1, (20, 3)))
+    poses = read("turn,slide,wrist\n" + rows, reader=read_poses)
     positions = arm.positions(poses.joints)
     data = read(format_positions(arm, poses, positions, ("a comment",)))
     assert data.names == poses.names
@@ -154,15 +156,17 @@ def test_the_arrays_are_copies_that_nobody_can_write_to(read):
     assert poses.joints.tolist() == [[0, 0, 0]]
 
 
-def test_a_subset_keeps_rows_together_in_the_order_asked_for(read):
-    data = read(HEADER + "a,1,0,0,10,0,0\nb,2,0,0,20,0,0\nc,3,0,0,30,0,0\n").subset(np.array([2, 0]))
-    assert data.names == ("c", "a")
+def test_a_subset_keeps_rows_together_in_the_order_asked_for_and_remembers_that_of_measurement(read):
+    whole = read(HEADER + "a,1,0,0,10,0,0\na,1,0,0,10,0,0\nb,2,0,0,20,0,0\nc,3,0,0,30,0,0\n")
+    assert whole.places.tolist() == [0, 1, 2, 3]
+    data = whole.subset(np.array([3, 0]))
+    assert (data.names, data.places.tolist()) == (("c", "a"), [3, 0])
     assert [label[-8:] for label in data.labels] == ["(pose c)", "(pose a)"]
     assert data.readings["tip"].values[:, 0].tolist() == [0.03, 0.01]
     assert data.readings["tip"].visits.tolist() == [0, 1]
     assert np.degrees(data.joints[:, 0]) == pytest.approx([3, 1])
     twice = data.subset(np.array([1, 0, 1]))
-    assert twice.names == ("a", "c", "a")
+    assert (twice.names, twice.places.tolist()) == (("a", "c", "a"), [0, 3, 0])
     assert twice.readings["tip"].values[:, 0].tolist() == [0.01, 0.03, 0.01]
 
 
@@ -174,21 +178,6 @@ def test_what_a_file_says_about_itself_is_kept(read):
     assert data.subset(np.array([1])).comments == data.comments
     assert read(HEADER + rows).comments == ()
     assert read(said + HEADER + rows, reader=read_poses).comments == data.comments
-
-
-def test_a_subset_remembers_the_order_of_measurement(read):
-    data = read(HEADER + "a,1,0,0,10,0,0\na,1,0,0,10,0,0\nb,2,0,0,20,0,0\nc,3,0,0,30,0,0\n")
-    assert data.places.tolist() == [0, 1, 2, 3]
-    chosen = data.subset(np.array([3, 0]))
-    assert chosen.places.tolist() == [3, 0]
-    assert chosen.subset(np.array([0])).places.tolist() == [3]
-
-
-TWO_BALLS = ARM_YAML.replace("targets:\n", "targets:\n  elbow: {frame: slider}\n")
-TWO_INSTRUMENTS = (
-    TWO_BALLS + "instruments:\n  tracker: {kind: position, target: tip}\n  arm: {kind: position, target: elbow}\n"
-)
-BOTH = "turn,slide,wrist,tracker_x,tracker_y,tracker_z,arm_x,arm_y,arm_z\n"
 
 
 def test_empty_cells_are_readings_that_were_not_taken(tmp_path, read):
@@ -208,18 +197,6 @@ def test_rows_in_which_nothing_was_read_are_no_visits(read):
     assert data.names == ("a", "c")
     assert data.places.tolist() == [0, 2]  # of the order of measurement
     assert data.readings["tip"].visits.tolist() == [0, 1]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (HEADER + "a,0,0,0,1,,3\n", "line 2, column 'tip_y': is empty; fill it in, or leave all cells of 'tip' empty"),
-        (HEADER + "a,0,0,0,,,\n", "all cells of the measured columns are empty"),
-        (HEADER + "a,0,,0,1,2,3\n", "line 2, column 'slide': is empty"),
-    ],
-)
-def test_a_gap_that_cannot_be_is_named_with_its_place(read, text, message):
-    assert message in complaint(read, text)
 
 
 def test_several_files_are_joined_by_the_pose(tmp_path):
@@ -244,31 +221,27 @@ def test_several_files_are_joined_by_the_pose(tmp_path):
     assert "none of the files has a column for every joint (turn, slide, wrist)" in text
 
 
-def test_files_of_two_sessions_follow_one_another(tmp_path):
-    robot = calib.load(write_arm(tmp_path, TWO_INSTRUMENTS))
-    (tmp_path / "one.csv").write_text(
-        "# first\n" + BOTH.replace("wrist,", "wrist,temperature,") + "0,0,0,20,1,2,3,4,5,6\n"
-    )
-    (tmp_path / "two.csv").write_text("# second\nturn,slide,wrist,arm_x,arm_y,arm_z\n0.5,0,0,7,8,9\n")
-    data = read_measurements([tmp_path / "one.csv", tmp_path / "two.csv"], robot)
-    assert data.joints[:, 0].tolist() == [0, 0.5]
-    assert data.names == ("1", "2")  # not the same pose twice
-    assert data.readings["arm"].visits.tolist() == [0, 1]
-    assert data.readings["tracker"].visits.tolist() == [0]
-    assert data.comments == ("first", "second")
-    np.testing.assert_array_equal(data.context["temperature"], [20, np.nan])
-    (tmp_path / "two.csv").write_text("turn,slide,wrist,arm_x,arm_y,arm_z,approach_turn\n0.5,0,0,7,8,9,1\n")
-    text = complaint(read_measurements, [tmp_path / "one.csv", tmp_path / "two.csv"], robot)
-    assert "one.csv: states no directions of approach, but another file does" in text
-
-
 @pytest.fixture
 def sessions(tmp_path):
     """Two sessions, in files."""
-    robot = calib.load(write_arm(tmp_path, TWO_INSTRUMENTS))
-    (tmp_path / "one.csv").write_text(BOTH.replace("wrist,", "wrist,temperature,") + "0,0,0,20,1,2,3,4,5,6\n")
-    (tmp_path / "two.csv").write_text("turn,slide,wrist,arm_x,arm_y,arm_z\n0.5,0,0,7,8,9\n0.6,0,0,7,8,9\n")
-    return robot, [tmp_path / "one.csv", tmp_path / "two.csv"]
+    one, two = (tmp_path / f"{name}.csv" for name in ("one", "two"))
+    one.write_text("# first\n" + BOTH.replace("wrist,", "wrist,temperature,") + "0,0,0,20,1,2,3,4,5,6\n")
+    two.write_text("# second\nturn,slide,wrist,arm_x,arm_y,arm_z\n0.5,0,0,7,8,9\n0.6,0,0,7,8,9\n")
+    return calib.load(write_arm(tmp_path, TWO_INSTRUMENTS)), [one, two]
+
+
+def test_files_of_two_sessions_follow_one_another(sessions):
+    robot, files = sessions
+    data = read_measurements(files, robot)
+    assert data.joints[:, 0].tolist() == [0, 0.5, 0.6]
+    assert data.names == ("1", "2", "3")  # not the same pose twice
+    assert data.readings["arm"].visits.tolist() == [0, 1, 2]
+    assert data.readings["tracker"].visits.tolist() == [0]
+    assert data.comments == ("first", "second")
+    np.testing.assert_array_equal(data.context["temperature"], [20, np.nan, np.nan])
+    files[1].write_text("turn,slide,wrist,arm_x,arm_y,arm_z,approach_turn\n0.5,0,0,7,8,9,1\n")
+    text = complaint(read_measurements, files, robot)
+    assert "one.csv: states no directions of approach, but another file does" in text
 
 
 def test_measurements_that_were_read_follow_one_another_as_their_files_do(sessions):
@@ -322,32 +295,6 @@ def test_standard_deviations_and_correlations_are_the_covariance_of_a_row(read):
     expected = 1e-6 * np.array([[1, 0, 1.5], [0, 4, 0], [1.5, 0, 9]])
     np.testing.assert_allclose(data.readings["tip"].covariance[0], expected, rtol=1e-12, atol=1e-20)
     np.testing.assert_allclose(data.readings["tip"].covariance[1], 1e-6 * np.diag([16, 25, 36]), rtol=1e-12, atol=1e-20)
-
-
-@pytest.mark.parametrize(
-    ("columns", "cells", "message"),
-    [
-        ("tip_std_x,tip_std_y", "1e-3,1e-3", "no column 'tip_std_z' beside 'tip_std_x'; give all standard deviations"),
-        ("tip_corr_x_y", "0.5", "no column 'tip_std_x' beside 'tip_corr_x_y'; give all standard deviations"),
-        (
-            "tip_std_x,tip_std_y,tip_std_z",
-            "1e-3,,1e-3",
-            "line 2, column 'tip_std_y': is empty; fill it in, because this row has a reading of 'tip'",
-        ),
-        (
-            "tip_std_x,tip_std_y,tip_std_z",
-            "1e-3,0,1e-3",
-            "line 2, column 'tip_std_y': a standard deviation must be positive",
-        ),
-        (
-            "tip_std_x,tip_std_y,tip_std_z,tip_corr_x_y",
-            "1e-3,1e-3,1e-3,1.2",
-            "line 2: the correlations of 'tip' contradict each other",
-        ),
-    ],
-)
-def test_noise_of_a_row_that_cannot_be_is_named(read, columns, cells, message):
-    assert message in complaint(read, f"turn,slide,wrist,tip_x,tip_y,tip_z,{columns}\n0,0,0,1,2,3,{cells}\n")
 
 
 SETUPS = ARM_YAML.replace("frame: ground", "frame: ground, pose: unknown") + "setups: {first: [], moved: [base]}\n"

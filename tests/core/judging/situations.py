@@ -16,17 +16,16 @@ import calib
 from calib.core.data.measurements import with_points
 from calib.core.judging.reasons import Code, Reason
 from calib.core.judging.rules_model import check_assembly
-from calib.core.robots.robot_files import urdf_of_origins
 from calib.core.robots.terms.terms import parse_terms
 from tests.core.calibrating import test_fit_files as warm
 from tests.core.instruments import test_kind_pixel as pixel
 from tests.core.instruments.test_kind_pose import YAML as POSES
 from tests.core.judging import test_misread_numbers as misread
-from tests.exporting.read_back import tip_of, urdf_links
 from tests.fleets import fleet_figures
 from tests.project import EXAMPLES
 from tests.six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, noisy, write_six_axis
-from tests.small_robots import write_parallelogram
+from tests.small_robots import edited_five_bar, write_parallelogram
+from tests.urdf_trees import urdf_of
 
 SIGMA = 4e-5
 ALONE = "  - {origin: j6, components: [y, z], sigma: 2 mm}\n  - {origin: ball, components: [x, y, z], sigma: 2 mm}\n"
@@ -157,12 +156,8 @@ def _(shop):
     moved = data.points(shop.prior) @ Rotation.from_euler("x", 1, degrees=True).as_matrix().T + [0.02, -0.02, 0.01]
     there = calib.fit(shop.prior, with_points(shop.prior, data, moved))
     away = rms(moved[:, 0] - shop.prior.positions(joints(80))[:, 0])
-    return Situation(
-        there,
-        shop.good_prior,
-        r"measurements \(RMS ([\d.]+) mm; .* xyz: \[([\d.-]+) mm, ([\d.-]+) mm, ([\d.-]+) mm\], rpy: \[([\d.]+)",
-        (away, 20.0, -20.0, 10.0, 1.0),
-    )
+    says = r"measurements \(RMS ([\d.]+) mm; .* xyz: \[([\d.-]+) mm, ([\d.-]+) mm, ([\d.-]+) mm\], rpy: \[([\d.]+)"
+    return Situation(there, shop.good_prior, says, (away, 20.0, -20.0, 10.0, 1.0))
 
 
 @situation(Code.TARGET_ELSEWHERE)
@@ -181,16 +176,11 @@ def _(shop):
     data = shop.good_prior.identification.data
     q = data.joints.copy()
     q[:, 2] *= -1
-    there = calib.fit(shop.prior, measurements(shop.prior, q, data.points(shop.prior)))
     points = data.points(shop.prior)
+    there = calib.fit(shop.prior, measurements(shop.prior, q, points))
     wrong, right = (rms(shop.prior.positions(values) - points) for values in (q, joints(80)))
-    return Situation(
-        there,
-        shop.good_prior,
-        r"joint j3 has the wrong sign.* the nominal robot fits (\d+) times better",
-        (wrong / right,),
-        0.3,
-    )
+    says = r"joint j3 has the wrong sign.* the nominal robot fits (\d+) times better"
+    return Situation(there, shop.good_prior, says, (wrong / right,), 0.3)
 
 
 @situation(Code.NOT_CONVERGED)
@@ -199,13 +189,11 @@ def _(shop):
     truth, q = nominal.with_parameters({"right_end.x": 0.297}), nominal.sample(10, seed=1)
     elbows = [robot.close(q).passive[:, nominal.mechanism.passive.index("right_elbow")] for robot in (nominal, truth)]
     limit = (elbows[1].max() + elbows[0].max()) / 2
-    folder = shop.new()
-    text = (EXAMPLES / "five_bar.urdf").read_text()
-    (folder / "five_bar.urdf").write_text(text.replace('lower="0" upper="3"', f'lower="0" upper="{limit}"'))
-    (folder / "five_bar.yaml").write_text((EXAMPLES / "five_bar.yaml").read_text())
+    narrow = edited_five_bar(shop.new(), ('lower="0" upper="3"', f'lower="0" upper="{limit}"'))
     data = calib.simulate(truth, q, seed=2)
-    there = calib.fit(calib.load(folder / "five_bar.yaml"), data)
-    return Situation(there, calib.fit(nominal, data), "passive joint right_elbow is at its limit in the URDF")
+    return Situation(
+        calib.fit(narrow, data), calib.fit(nominal, data), "passive joint right_elbow is at its limit in the URDF"
+    )
 
 
 @situation(Code.NOT_ASSEMBLED)
@@ -292,16 +280,9 @@ def _(shop):
     return Situation(*fits, r"RMS ([\d.]+) mm after, ([\d.]+) mm before", (after, before))
 
 
-def true_tip(shop):
-    """The arm of the tests of files, off by a millimetre or so, by Pinocchio."""
-    true = shop.prior.with_parameters({"j2.x": 0.0512, "j3.z": 0.5991, "j4.ry": 2e-3, "j5.z": 1e-3})
-    tip = tip_of(urdf_links(urdf_of_origins(true)), true)
-    return lambda q: (tip(q) @ [0.05, 0.02, 0.1, 1.0])[:, :3]
-
-
 @situation(Code.FILE_WITHHELD)
 def _(shop):
-    robot, used, cold = warm.warm_and_cold(shop.new(), true_tip(shop))
+    robot, used, cold = warm.warm_and_cold(shop.new(), warm.true_tip_of(shop.prior))
     held = used.subset(np.arange(40, 60))
     there = calib.fit(robot, used.subset(np.arange(40)), validation=cold)
     return Situation(there, calib.fit(robot, used.subset(np.arange(40)), validation=held), "are not written: ")
@@ -309,7 +290,7 @@ def _(shop):
 
 @situation(Code.FILE_HOLDS_LESS)
 def _(shop):
-    tip, gains = true_tip(shop), shop.robot(YAML + FREE + "  - {joint: all, term: gain, sigma: 0.01}\n")
+    tip, gains = warm.true_tip_of(shop.prior), shop.robot(YAML + FREE + "  - {joint: all, term: gain, sigma: 0.01}\n")
     used, other = (warm.measured(gains, tip, n, seed) for n, seed in ((60, 1), (40, 2)))
     there, gone = (calib.fit(robot, used, validation=other) for robot in (gains, shop.prior))
     nominal, whole = (rms(robot.positions(other.joints) - other.points(gains)) for robot in (shop.prior, there.robot))
@@ -330,14 +311,9 @@ def _(shop):
     """Distances from two points near the plane of an arm hardly tell on which side of the plane its ball is."""
     fits = []
     for z in (4e-4, 0.3):
-        folder = shop.new()
-        (folder / "r.urdf").write_text(
-            '<robot name="planar"><link name="a"/><link name="b"/><link name="c"/>'
-            '<joint name="j1" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>'
-            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
-            '<joint name="j2" type="revolute"><parent link="b"/><child link="c"/><origin xyz="0.4 0 0"/>'
-            '<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>'
-        )
+        folder, up = shop.new(), '<axis xyz="0 0 1"/>'
+        elbow = ("j2", "revolute", "b", "c", f'<origin xyz="0.4 0 0"/>{up}')
+        (folder / "r.urdf").write_text(urdf_of(("j1", "revolute", "a", "b", up), elbow))
         (folder / "r.yaml").write_text(
             "urdf: r.urdf\nname_mot: [j1, j2]\nbase: {frame: a}\npriors: false\n"
             "targets: {ball: {frame: c, xyz: [300 mm, 0 mm, 20 mm]}}\n"
@@ -369,13 +345,8 @@ def _(shop):
 @situation(Code.NOISE, "PASS")
 def _(shop):
     there = calib.fit(shop.arm, noisy(shop.truth, joints(80), 1.6 * SIGMA, 1), sigma=SIGMA)
-    return Situation(
-        there,
-        shop.good,
-        r"is ([\d.]+) times what was stated \(([\d.]+) mm .* where ([\d.]+) mm",
-        (1.6, 0.064, 0.04),
-        0.1,
-    )
+    says = r"is ([\d.]+) times what was stated \(([\d.]+) mm .* where ([\d.]+) mm"
+    return Situation(there, shop.good, says, (1.6, 0.064, 0.04), 0.1)
 
 
 @situation(Code.MISREAD)
@@ -434,43 +405,34 @@ def _(shop):
     q, rng = joints(60), np.random.default_rng(3)
     errors = (2e-4 * rng.standard_normal((60, targets, 3)) for targets in (1, 2))
     fits = [calib.fit(arm, measurements(arm, q, arm.positions(q) + error)) for error in errors]
-    return Situation(
-        *fits,
-        r"targets other, ball are the same .* to 1 um, while readings are off by ([\d.]+) mm per axis: these"
-        r" targets were computed from one measured pose\.",
-        (0.2,),
-        0.2,
-    )
+    says = r"targets other, ball are the same .* to 1 um, while readings are off by ([\d.]+) mm per axis: these targets"
+    return Situation(*fits, rf"{says} were computed from one measured pose\.", (0.2,), 0.2)
 
 
 @situation(Code.OUTLIERS)
 def _(shop):
     points = shop.used.points(shop.arm).copy()
     points[17] += 1e-3
-    there = calib.fit(shop.arm, measurements(shop.arm, joints(80), points))
+    there = calib.fit(shop.arm, with_points(shop.arm, shop.used, points))
     off = rms(points[17] - there.robot.positions(joints(80))[17])
-    return Situation(
-        there, shop.good, r"(\d) outlier \(chance.*row 17, ball: ([\d.]+) mm off.*--exclude-outliers", (1, off)
-    )
+    says = r"(\d) outlier \(chance.*row 17, ball: ([\d.]+) mm off.*--exclude-outliers"
+    return Situation(there, shop.good, says, (1, off))
 
 
 @situation(Code.MANY_EXCLUDED)
 def _(shop):
     points = shop.used.points(shop.arm).copy()
     points[::7] += np.random.default_rng(2).normal(0, 2e-3, points[::7].shape)
-    there, gone = (
-        calib.fit(shop.arm, data, exclude_outliers=True)
-        for data in (measurements(shop.arm, joints(80), points), shop.used)
-    )
-    return Situation(there, gone, r"(\d+) of (\d+) poses were excluded", (len(points[::7]), 80), 0.2)
+    sets = (with_points(shop.arm, shop.used, points), shop.used)
+    fits = [calib.fit(shop.arm, data, exclude_outliers=True) for data in sets]
+    return Situation(*fits, r"(\d+) of (\d+) poses were excluded", (len(points[::7]), 80), 0.2)
 
 
 @situation(Code.USED_FOR_BOTH)
 def _(shop):
     there = calib.fit(shop.arm, shop.used, validation=shop.used.subset(np.arange(0, 80, 4)))
-    return Situation(
-        there, shop.good, r"(\d+) of (\d+) validation poses are measurements that the fit has used", (20, 20)
-    )
+    says = r"(\d+) of (\d+) validation poses are measurements that the fit has used"
+    return Situation(there, shop.good, says, (20, 20))
 
 
 @situation(Code.DOUBTFUL_READINGS)
@@ -508,9 +470,7 @@ def _(shop):
     data = noisy(arm, joints(60), SIGMA, 1)
     points = data.points(arm).copy()
     points[:, 1, 1] = points[:, 1, 0]
-    fits = [
-        calib.fit(arm, measurements(arm, joints(60), values), loss="tukey") for values in (points, data.points(arm))
-    ]
+    fits = [calib.fit(arm, measurements(arm, joints(60), read), loss="tukey") for read in (points, data.points(arm))]
     return Situation(*fits, "columns ball_x and ball_y are equal in every row")
 
 
@@ -520,12 +480,10 @@ def _(shop):
     fits = []
     for scatter, between in ((1e-5, 5e-5), (5e-5, 0.0)):
         rng, q = np.random.default_rng(1), np.repeat(joints(60), 3, axis=0)
-        away = np.repeat(between * rng.standard_normal((60, 1, 3)), 3, axis=0) + scatter * rng.standard_normal(
-            (180, 1, 3)
-        )
-        labels = tuple(f"p{k // 3}" for k in range(180))
-        poses = calib.Poses(q, tuple(f"row {k}" for k in range(180)), labels, "test", ())
-        fits.append(calib.fit(shop.arm, calib.as_measurements(shop.arm, poses, shop.arm.positions(q) + away)))
+        away = np.repeat(between * rng.standard_normal((60, 1, 3)), 3, axis=0)
+        points = shop.arm.positions(q) + away + scatter * rng.standard_normal((180, 1, 3))
+        names = [f"p{k // 3}" for k in range(180)]
+        fits.append(calib.fit(shop.arm, calib.as_measurements(shop.arm, q, points, names)))
     # means of three: 50^2 + 10^2 / 3 against 10^2 / 3
     return Situation(*fits, r"means of repeats are off by ([\d.]+) times", (np.sqrt(1 + 3 * 25),), 0.15)
 
@@ -536,9 +494,8 @@ def _(shop):
     step = np.radians(0.1)
     there = calib.fit(shop.arm, measurements(shop.arm, np.round(q / step) * step, shop.used.points(shop.arm)))
     made = rms(shop.truth.positions(q) - shop.truth.positions(np.round(q / step) * step)) / np.sqrt(3)
-    return Situation(
-        there, shop.good, r"rounded to steps of ([\d.]+) deg, which makes about ([\d.]+) mm", (0.1, made), 0.25
-    )
+    says = r"rounded to steps of ([\d.]+) deg, which makes about ([\d.]+) mm"
+    return Situation(there, shop.good, says, (0.1, made), 0.25)
 
 
 @situation(Code.LEVERAGE)
@@ -597,15 +554,10 @@ def fit_with_term(term, name, times):
 
 @situation(Code.TOLERANCE)
 def _(shop):
-    fits = []
-    for tolerance in (0.05, 0.5):
-        robot = shop.robot(f"{NO_PRIORS}{YAML}{FREE}tolerance: {tolerance} mm\n")
-        fits.append(calib.fit(robot, shop.used))
-    limit, says = (
-        fits[0].verdict.claim.at_measured_poses.limit95,
-        r"the claim is ([\d.]+) mm .* the tolerance of ([\d.]+) mm",
-    )
-    return Situation(*fits, says, (1e3 * limit, 0.05))
+    stated = (f"{NO_PRIORS}{YAML}{FREE}tolerance: {tolerance} mm\n" for tolerance in (0.05, 0.5))
+    fits = [calib.fit(shop.robot(yaml), shop.used) for yaml in stated]
+    limit = 1e3 * fits[0].verdict.claim.at_measured_poses.limit95
+    return Situation(*fits, r"the claim is ([\d.]+) mm .* the tolerance of ([\d.]+) mm", (limit, 0.05))
 
 
 @situation(Code.UNLIKE_FLEET)
@@ -614,14 +566,11 @@ def _(shop):
     mean = fleet_figures.made_up(robot, rng)
     fleet = calib.fleet(*fleet_figures.results_of(robot, folder, 3, rng, mean))
     truth, fits = fleet_figures.one_more(robot, mean, rng), []
-    q = robot.sample(20, rng)
-    name = "joint_3.rz"
+    q, bent = robot.sample(20, rng), np.array([parameter.name == "joint_3.rz" for parameter in robot.parameters])
     for more in (0.02, 0.0):
-        repaired = truth.with_parameters(
-            {name: float(truth.values[truth.parameters.index(truth.parameters[name])]) + more}
-        )
+        repaired = truth.with_parameters(truth.values + more * bent)
         fits.append(calib.fit(fleet.robot, calib.simulate(repaired, q, seed=3)))
-    return Situation(*fits, rf"unlike the (\d) robots of its fleet in {name}", (3,))
+    return Situation(*fits, r"unlike the (\d) robots of its fleet in joint_3.rz", (3,))
 
 
 @situation(Code.RANK_UNCLEAR)
@@ -645,10 +594,8 @@ def _(shop):
 def _(shop):
     q = joints(80)
     near = q[:1] + 0.05 * (q - q[:1])
-    there = calib.fit(shop.prior, noisy(shop.prior, near, SIGMA, 1), sigma=SIGMA)
-    return Situation(
-        there, shop.good_prior, r"more than ([\d.]+) % of its range", (100 * np.ptp(near, axis=0).max() / 6,), 0.03
-    )
+    there, range_used = calib.fit(shop.prior, noisy(shop.prior, near, SIGMA, 1), sigma=SIGMA), np.ptp(near, axis=0)
+    return Situation(there, shop.good_prior, r"more than ([\d.]+) % of its range", (100 * range_used.max() / 6,), 0.03)
 
 
 @situation(Code.JOINT_MOVED_LITTLE)
@@ -656,21 +603,17 @@ def _(shop):
     q = joints(80)
     q[:, 2] = 0.3 + 0.01 * q[:, 2]
     there = calib.fit(shop.prior, noisy(shop.prior, q, SIGMA, 1), sigma=SIGMA)
-    return Situation(
-        there, shop.good_prior, r"joint j3 moved through only ([\d.]+) deg", (np.degrees(np.ptp(q[:, 2])),), 0.03
-    )
+    moved = np.degrees(np.ptp(q[:, 2]))
+    return Situation(there, shop.good_prior, r"joint j3 moved through only ([\d.]+) deg", (moved,), 0.03)
 
 
 @situation(Code.VALIDATED_ELSEWHERE)
 def _(shop):
     near = noisy(shop.prior, joints(60) / 4, SIGMA, 1)
-    fits = [
-        calib.fit(shop.prior, near, sigma=SIGMA, validation=noisy(shop.prior, joints(30, 5) / by, SIGMA, 2))
-        for by in (1, 4)
-    ]
-    known = 1e3 * np.median(
-        np.linalg.norm(np.sqrt(np.diagonal(fits[0].predict(joints(30, 5)).covariance, axis1=-2, axis2=-1)), axis=-1)
-    )
+    held = [noisy(shop.prior, joints(30, 5) / by, SIGMA, 2) for by in (1, 4)]
+    fits = [calib.fit(shop.prior, near, sigma=SIGMA, validation=other) for other in held]
+    covariance = fits[0].predict(joints(30, 5)).covariance
+    known = 1e3 * np.median(np.sqrt(np.trace(covariance, axis1=-2, axis2=-1)))
     return Situation(*fits, r"known to ([\d.]+) mm there", (known,), 0.06)
 
 
@@ -715,14 +658,16 @@ def _(shop):
     return Situation(*fits, r"(\d) validation poses lie where no error curve of joint_2 was learned", (5,))
 
 
-@situation(Code.BLOCKS_DISAGREE)
+def bent(q):
+    """Where joints stand if the error of the first depends on two others."""
+    return q + np.outer(2e-4 * np.sin(q[:, 1]) * np.cos(2.0 * q[:, 2]), np.eye(6)[0])
+
+
+@situation(Code.BLOCKS_DISAGREE, "CHECK")
 def _(shop):
-    """The error of the first joint depends on two others."""
-    q = joints(120)
-    bent = q.copy()
-    bent[:, 0] += 2e-4 * np.sin(q[:, 1]) * np.cos(2.0 * q[:, 2])
-    noise = SIGMA * np.random.default_rng(1).standard_normal((120, 1, 3))
-    fits = [calib.fit(shop.prior, measurements(shop.prior, q, shop.prior.positions(off) + noise)) for off in (bent, q)]
+    q, noise = joints(120), SIGMA * np.random.default_rng(1).standard_normal((120, 1, 3))
+    points = [shop.prior.positions(stood) + noise for stood in (bent(q), q)]
+    fits = [calib.fit(shop.prior, measurements(shop.prior, q, read)) for read in points]
     return Situation(*fits, r", ([\d.]+) times more than noise", (fits[0].interval_factor,), 0.05)
 
 
@@ -730,7 +675,6 @@ def _(shop):
 def _(shop):
     rng = np.random.default_rng(3)
     together = np.sin(rng.uniform(-1.0, 1.0, (60, 3)) @ rng.uniform(-1.0, 1.0, (3, 6)))
-    fits = [
-        calib.fit(shop.prior, noisy(shop.prior, q, SIGMA, 1), sigma=SIGMA, terms="gain") for q in (together, joints(60))
-    ]
+    sets = [noisy(shop.prior, q, SIGMA, 1) for q in (together, joints(60))]
+    fits = [calib.fit(shop.prior, data, sigma=SIGMA, terms="gain") for data in sets]
     return Situation(*fits, "positions are known to .* RMS there")

@@ -9,14 +9,10 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.core.data.measurements import with_points
 from calib.core.judging.claim import Benefit, Claim
+from calib.core.judging.reasons import Code
 from tests.six_axis_arm import FREE, YAML, joints, measurements, noisy, write_six_axis
 
 SIGMA = 4e-5
-
-
-@pytest.fixture(scope="module")
-def truth(arm):
-    return arm.with_parameters({"j2.x": 0.0512, "j3.z": 0.5991, "j4.ry": 2e-3, "j5.z": 1e-3})
 
 
 def sagging(arm, truth, q, seed, *, by=1e-3):
@@ -76,8 +72,10 @@ def test_a_robot_that_surely_goes_on_growing_is_a_check(arm, truth, by, grade):
     assert [reason.code for reason in fit.verdict.reasons if reason.grade == "CHECK"] == ["systematic"] * (by > 1e-4)
 
 
-def test_computed_data_claim_nothing(arm, truth):
-    assert calib.fit(arm, noisy(truth, joints(40), 0.0, 1)).verdict.claim is None
+def test_computed_data_claim_nothing_and_show_no_pattern(shop):
+    computed = shop.situation(Code.NO_NOISE).there
+    assert computed.verdict.claim is None
+    assert computed.patterns == ()
 
 
 @pytest.fixture(scope="module")

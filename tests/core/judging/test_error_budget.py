@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from itertools import combinations
 from math import factorial
 
@@ -11,6 +10,7 @@ import pytest
 
 import calib
 from calib.core.base.words import as_data
+from calib.core.data.measurements import with_points
 from calib.core.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _root_of_span, causes_of
 from calib.core.judging.findings import joint_budget
 from calib.core.results.report_text import text_report
@@ -28,6 +28,7 @@ TERMS = """\
 """
 HELD = "flange.rz, turn.rz, wrist.z, flange.rx, flange.ry, wrist.ry, wrist.rz, slide.z, flange.y, wrist.x, wrist.y"
 GAIN, CURVES, BACKLASH = "gain and harmonics", "joint curves", "backlash"
+CAUSES = (GEOMETRY, GAIN, CURVES, BACKLASH)
 
 
 def arm(folder, terms=TERMS, yaml=ARM_YAML, sigma="20 um"):
@@ -98,19 +99,17 @@ def test_the_parts_add_up_and_are_those_of_all_orders(mixed):
     assert budget.before == pytest.approx(np.mean(before), rel=1e-12)
     assert sum(share.mean_square for share in budget.shares) == pytest.approx(budget.before, rel=1e-12)
     assert budget.after == pytest.approx(np.mean(np.sum(errors_of(fit.robot, data) ** 2, axis=1)), rel=1e-6)
-    causes = [GEOMETRY, GAIN, CURVES, BACKLASH]
-    members = [np.array(causes_of(fit.nominal)) == cause for cause in causes]
+    members = [np.array(causes_of(fit.nominal)) == cause for cause in CAUSES]
     expected = by_all_orders(fit.nominal, fit.robot, data, members)
-    results = [shares(budget)[cause].mean_square for cause in causes]
+    results = [shares(budget)[cause].mean_square for cause in CAUSES]
     np.testing.assert_allclose(results, expected, atol=2e-3 * budget.before)  # errors are not quite linear
 
 
 def test_the_parts_are_those_of_the_true_causes_within_their_uncertainty(mixed):
     fit, truth = mixed
-    causes = [GEOMETRY, GAIN, CURVES, BACKLASH]
-    members = [np.array(causes_of(truth)) == cause for cause in causes]
+    members = [np.array(causes_of(truth)) == cause for cause in CAUSES]
     expected = by_all_orders(fit.nominal, truth, fit.validation.data, members)
-    for cause, value in zip(causes, expected, strict=True):
+    for cause, value in zip(CAUSES, expected, strict=True):
         share = shares(fit.budget)[cause]
         assert abs(share.mean_square - value) < 4 * share.std + 2e-3 * fit.budget.before
         assert share.std < 0.3 * fit.budget.before
@@ -128,17 +127,13 @@ def test_joints_as_causes_are_those_of_all_orders(mixed):
     assert {"turn", "slide", "wrist"} <= set(joints)
     members = [np.array([name.startswith(f"{joint}.") for name in fit.free_names]) for joint in joints]
     expected = by_all_orders(fit.nominal, fit.robot, fit.validation.data, members)
-    np.testing.assert_allclose(
-        [shares(budget)[joint].mean_square for joint in joints], expected, atol=2e-3 * budget.before
-    )
+    results = [shares(budget)[joint].mean_square for joint in joints]
+    np.testing.assert_allclose(results, expected, atol=2e-3 * budget.before)
 
 
 def test_a_gain_alone_is_all_of_the_error_as_computed_by_hand(tmp_path):
-    held = ARM_YAML.replace(
-        "{origin: all, components: [x, y, z], sigma: 2 mm}", "{origin: turn, components: [z], sigma: 2 mm}"
-    )
-    held = held.replace("  - {origin: all, components: [rx, ry, rz], sigma: 5 mrad}\n", "")
-    nominal = arm(tmp_path, "  - {joint: turn, term: gain}\n", held)
+    free = "parametrisation:\n  - {origin: turn, components: [z], sigma: 2 mm}\n"
+    nominal = arm(tmp_path, "  - {joint: turn, term: gain}\n", ARM_YAML.partition("parametrisation:")[0] + free)
     truth = nominal.with_parameters({"turn.gain": 2e-3})
     fit = calib.fit(nominal, measured(truth, 60, 3), validation=measured(truth, 500, 4))
     data = fit.validation.data
@@ -192,14 +187,12 @@ def test_what_no_parameter_can_explain_is_found_as_such(tmp_path):
 
 
 def test_a_few_large_errors_are_more_than_noise_however_uncertain_their_mean_is(tmp_path):
-    robot = arm(tmp_path, terms="", sigma="20 um")
+    robot = arm(tmp_path, terms="")
     data = measured(robot, 30, 31)
-    errors = np.zeros((30, 3))
-    errors[0] = 0.02
-    readings = data.readings["tip"]
-    wrong = replace(data, readings={"tip": replace(readings, values=readings.values + errors)})
-    budget = calib.fit(robot, data, validation=wrong).budget
-    beyond = {share.cause: share for share in budget.shares}[UNEXPLAINED]
+    points = data.points(robot).copy()
+    points[0] += 0.02
+    budget = calib.fit(robot, data, validation=with_points(robot, data, points)).budget
+    beyond = shares(budget)[UNEXPLAINED]
     assert beyond.mean_square < 2 * beyond.std  # one pose has all of it
     assert budget.advice.startswith("The rest is larger than the stated noise")
 

@@ -20,11 +20,6 @@ def measured(tmp_path_factory):
     return arm, calib.as_measurements(arm, q, arm.positions(actual)[:, 0] + 2e-5 * rng.standard_normal((80, 3)))
 
 
-def same_readings(measured):
-    """A noise function whose readings are those of one set."""
-    return lambda exact, rng: measured
-
-
 def test_predict_verify_watch_and_study_say_the_same_of_a_pose(measured):
     arm, data = measured
     fit, q = calib.fit(arm, data), joints(4, 5)
@@ -43,7 +38,7 @@ def test_predict_verify_watch_and_study_say_the_same_of_a_pose(measured):
         assert promised.rms == pytest.approx(np.hypot(alone[k], np.sqrt(3) * fit.reading_noise[0]), rel=1e-6)
     watched = calib.Watch(arm, "1 mm", candidates=q).update(data)
     assert watched.predicted.value == pytest.approx(np.sqrt(np.mean(alone**2)), rel=1e-6)
-    drawn = calib.study(arm, data, draws=2, noise=same_readings(data), elsewhere=q).draws
+    drawn = calib.study(arm, data, draws=2, noise=lambda exact, rng: data, elsewhere=q).draws  # of the same readings
     stds = drawn.error_half_width[:, :, 0] / known.coverage_factor
     assert np.sqrt(np.sum(stds**2, axis=2)) == pytest.approx(np.array([alone, alone]), rel=1e-3)  # solver's tolerance
     own = np.array([p.std_si for p in fit.parameters.values() if p.std_si > 0])
@@ -56,9 +51,8 @@ def test_noise_and_errors_of_joints_are_together_what_residuals_show(tmp_path):
     rng = np.random.default_rng(2)
 
     def read(q):
-        return calib.as_measurements(
-            arm, q, arm.positions(q + 1e-4 * np.sin(40 * q))[:, 0] + 2e-5 * rng.standard_normal((len(q), 3))
-        )
+        points = arm.positions(q + 1e-4 * np.sin(40 * q))[:, 0] + 2e-5 * rng.standard_normal((len(q), 3))
+        return calib.as_measurements(arm, q, points)
 
     fit = calib.fit(arm, read(joints(100, 1)))
     assert fit.reading_noise[0] < 0.8 * fit.sigma

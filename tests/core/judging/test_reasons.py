@@ -38,9 +38,8 @@ def no_reasons(fit):
 )
 def test_a_rule_of_another_package_that_does_not_work_is_named(shop, monkeypatch, value, said):
     other = EntryPoint("warmth", value, "calib.reasons")
-    monkeypatch.setattr(
-        "calib.core.judging.verdict.list_entry_points", lambda group: [other] if group == other.group else []
-    )
+    listed = {"calib.reasons": [other]}
+    monkeypatch.setattr("calib.core.judging.verdict.list_entry_points", lambda group: listed.get(group, []))
     with pytest.raises(calib.InputError, match=re.escape(said)) as result:
         judge(dataclasses.replace(shop.good, seconds=0.0))
     assert str(result.value).startswith(f"reason 'warmth' of the verdict ({value}): ")

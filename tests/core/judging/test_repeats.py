@@ -4,19 +4,11 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.data.measurement_files import read_measurements
 from calib.core.fitting.error_sets import ErrorSet
+from calib.core.judging.reasons import Code
 from calib.core.judging.repeatability import pose_error_over_repeatability, repeat_table, repeatability
 from calib.core.results.result_content import to_dict
 from tests.six_axis_arm import YAML, joints, write_six_axis
-
-HEADER = ",".join(["pose", *(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [mm]" for axis in "xyz")])
-
-
-def file_of(folder, rows):
-    path = folder / "data.csv"
-    path.write_text("\n".join([HEADER, *(",".join(map(str, row)) for row in rows)]) + "\n")
-    return path
 
 
 def errors_of(arm, names, before, after):
@@ -80,29 +72,18 @@ def test_the_means_of_poses_are_held_against_the_scatter_of_their_repeats(arm):
     assert chance < 1e-6
 
 
-def measured(arm, tmp_path, *, scatter, between, seed=1):
-    """60 poses of three readings: each pose off by `between`, each reading by `scatter` [m]."""
-    rng = np.random.default_rng(seed)
-    rows = []
-    for k, (q, position) in enumerate(zip(joints(60), arm.positions(joints(60))[:, 0], strict=True)):
-        mean = position + between * rng.standard_normal(3)
-        rows += [[f"p{k}", *q, *(1e3 * (mean + scatter * rng.standard_normal(3)))] for _ in range(3)]
-    return read_measurements(file_of(tmp_path, rows), arm)
-
-
-def test_repeats_weigh_and_the_noise_found_is_that_of_one_reading(arm, tmp_path):
-    fit = calib.fit(arm, measured(arm, tmp_path, scatter=5e-5, between=0.0))
+def test_repeats_weigh_and_the_noise_found_is_that_of_one_reading(shop):
+    fit = shop.situation(Code.REPEATABILITY).gone
     assert fit.sigma == pytest.approx(5e-5, rel=0.15)  # standard error 3 %
     assert repeatability(fit.identification)[0] == pytest.approx(5e-5, rel=0.1)
     assert fit.statistics.freedom == pytest.approx(3 * 180 - 26)
     assert fit.statistics.shared_scatter is None
     assert (to_dict(fit)["n_poses"], to_dict(fit)["n_rows"], to_dict(fit)["n_readings"]) == (60, 180, 180)
-    assert "repeatability" not in [reason.code for reason in fit.verdict.reasons]
 
 
-def test_many_repeats_do_not_make_sure_of_what_the_model_leaves_out(arm, tmp_path):
+def test_many_repeats_do_not_make_sure_of_what_the_model_leaves_out(shop):
     """Each pose is off by 0.05 mm that all its readings share: three of them tell hardly more than one."""
-    fit = calib.fit(arm, measured(arm, tmp_path, scatter=1e-5, between=5e-5))
+    arm, fit = shop.arm, shop.situation(Code.REPEATABILITY).there
     once = calib.fit(arm, fit.identification.data.subset(np.arange(0, 180, 3)))
     assert np.median(fit.statistics.std / once.statistics.std) > 0.8  # and not 1 / sqrt(3), 0.58
     error = np.abs(fit.robot.values - arm.values)[arm.is_free]
@@ -110,9 +91,9 @@ def test_many_repeats_do_not_make_sure_of_what_the_model_leaves_out(arm, tmp_pat
 
 
 @pytest.mark.quick(0)
-def test_accuracy_and_repeatability_of_validation_poses_are_told_too(arm, tmp_path):
-    data = measured(arm, tmp_path, scatter=5e-5, between=0.0)
-    fit = calib.fit(arm, data.subset(np.arange(135)), validation=data.subset(np.arange(135, 180)))
+def test_accuracy_and_repeatability_of_validation_poses_are_told_too(shop):
+    data = shop.situation(Code.REPEATABILITY).gone.identification.data
+    fit = calib.fit(shop.arm, data.subset(np.arange(135)), validation=data.subset(np.arange(135, 180)))
     assert "ISO 9283-style, 15 poses not used" in fit.report(verbose=True)
     table = to_dict(fit)["repeats_validation"]
     assert table["n_readings"] == 45
@@ -122,17 +103,15 @@ def test_accuracy_and_repeatability_of_validation_poses_are_told_too(arm, tmp_pa
 @pytest.mark.quick(0)
 def test_repeats_whose_encoders_differ_scatter_about_what_the_model_predicts(tmp_path):
     scatter = 4e-5
-    (tmp_path / "unknown").mkdir()
     yaml = f"priors: false\n{YAML}" + "  - {origin: j2, components: [x], sigma: 2 mm}\n"
     yaml = yaml.replace("frame: l0", "frame: l0, pose: unknown")  # the displacement is told in the tracker's frame
-    robot = calib.load(write_six_axis(tmp_path / "unknown", yaml))
+    robot = calib.load(write_six_axis(tmp_path, yaml))
     truth = robot.with_parameters({"base.x": 2.0, "base.rz": 2.2, "j2.x": 0.052})
     rng = np.random.default_rng(3)
     q = np.repeat(joints(50), 6, axis=0)
     q += rng.uniform(-8e-4, 8e-4, q.shape)
     positions = truth.positions(q)[:, 0] + scatter * rng.standard_normal((len(q), 3))
-    rows = [[f"p{k // 6}", *q[k], *(1e3 * positions[k])] for k in range(len(q))]
-    data = read_measurements(file_of(tmp_path, rows), robot)
+    data = calib.as_measurements(robot, q, positions, [f"p{k // 6}" for k in range(len(q))])
     fit = calib.fit(robot, data.subset(np.arange(240)), validation=data.subset(np.arange(240, 300)))
     # 200 degrees of freedom for each axis: 3 % standard error over the three
     assert repeatability(fit.identification)[0] == pytest.approx(scatter, rel=0.1)

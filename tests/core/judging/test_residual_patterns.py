@@ -1,3 +1,5 @@
+"""Patterns of residuals: each is found where it is, and said in its own words, and in good data there is none."""
+
 import dataclasses
 import tracemalloc
 
@@ -32,6 +34,28 @@ def significant(fit):
     return [pattern for pattern in fit.patterns if pattern.significant]
 
 
+def first(fit):
+    return significant(fit)[0]
+
+
+def off(joint, by):
+    """Where joints stand at `joints(80)`, one of them off."""
+    return joints(80) + np.outer(by, np.eye(6)[joint])
+
+
+def course(n=80):
+    return np.linspace(0, 1, n)[:, None, None]
+
+
+def centred(arm):
+    positions = arm.positions(joints(80))
+    return positions - positions.mean(axis=0)
+
+
+MOVED = np.where(np.arange(80) < 50, 0.0, 2e-4)[:, None, None] * [0.0, 1.0, 0.0]
+"""A tracker that moved while measuring."""
+
+
 def test_the_direction_of_motion_is_kept_while_a_joint_stands_still():
     q = np.array([[0, 0], [1, 0], [1, -2], [0.5, -2], [0.5, 3], [0.5, 3]], dtype=float)
     np.testing.assert_array_equal(directions_of_motion(q), [[0, 0], [1, 0], [1, -1], [-1, -1], [-1, 1], [-1, 1]])
@@ -45,25 +69,18 @@ def test_a_hold_out_set_keeps_the_directions_of_the_whole_file(arm):
 
 @pytest.mark.parametrize("driver", [1, 3])
 def test_a_joint_that_follows_its_neighbour_is_found(arm, driver):
-    q_true = joints(80)
-    q_true[:, 2] += 2e-3 * q_true[:, driver]
-    (item,) = (
-        pattern for pattern in significant(fitted(arm, q_true)) if pattern.kind == "coupling" and pattern.name == "j3"
-    )
+    found = significant(fitted(arm, off(2, 2e-3 * joints(80)[:, driver])))
+    (item,) = (pattern for pattern in found if (pattern.kind, pattern.name) == ("coupling", "j3"))
     assert item.detail == f"j{driver + 1}"
     assert item.amount == pytest.approx(2e-3, rel=0.1)
     assert f"joint j3 is off by +2 mrad for each rad of joint j{driver + 1}" in describe(item, arm.mechanism.dimensions)
 
 
 def test_backlash_is_found_with_its_joint_and_size(arm):
-    q = joints(80)
-    half = 1e-4
-    played = q.copy()
-    played[:, 2] += half * directions_of_motion(q)[:, 2]
-    patterns = significant(fitted(arm, played))
-    assert (patterns[0].kind, patterns[0].name) == ("approach", "j3")
-    assert abs(patterns[0].amount) == pytest.approx(half, rel=0.3)
-    words = describe(patterns[0], arm.mechanism.dimensions)
+    pattern = first(fitted(arm, off(2, 1e-4 * directions_of_motion(joints(80))[:, 2])))
+    assert (pattern.kind, pattern.name) == ("approach", "j3")
+    assert abs(pattern.amount) == pytest.approx(1e-4, rel=0.3)
+    words = describe(pattern, arm.mechanism.dimensions)
     assert words.startswith("joint j3 differs by 0.01")
     assert "deg with the direction of approach" in words
 
@@ -71,8 +88,7 @@ def test_backlash_is_found_with_its_joint_and_size(arm):
 def test_patterns_of_very_many_poses_are_judged_on_some_of_them_and_the_claim_on_all(arm, monkeypatch):
     q = joints(400)
     q[:, 5] = np.tile([-1.0, 0.0, 1.0, 0.5], 100)  # a regular step of 4 would meet one of these values alone
-    played = q.copy()
-    played[:, 2] += 1e-4 * directions_of_motion(q)[:, 2]
+    played = q + 1e-4 * directions_of_motion(q) * np.eye(6)[2]
     data = measurements(arm, q, arm.positions(played) + SIGMA * np.random.default_rng(3).standard_normal((400, 1, 3)))
     whole = calib.fit(arm, data)
     assert findings.sample_of_poses(whole) is whole
@@ -94,34 +110,31 @@ def test_patterns_of_very_many_poses_are_judged_on_some_of_them_and_the_claim_on
     assert findings.sample_of_poses(fit) is fit
 
 
-def test_a_tracker_that_moved_while_measuring_is_found(arm):
-    moved = np.zeros((80, 1, 3))
-    moved[50:, 0, 1] = 2e-4
-    patterns = significant(fitted(arm, joints(80), shift=moved))
-    assert patterns[0].kind == "drift"
-    assert "if a tracker or base had moved" in describe(patterns[0], arm.mechanism.dimensions)
+@pytest.mark.parametrize(
+    ("stood", "shift", "kind", "words"),
+    [
+        (joints(80), lambda _: MOVED, "drift", "if a tracker or base had moved"),
+        (off(2, 4e-4 * (np.arange(80) >= 40)), lambda _: 0.0, "zero", "joint j3 changes in the course of"),
+        (joints(80), lambda arm: course() * np.cross([2e-4, 3e-4, 0.0], centred(arm)), "turning", "base had turned"),
+        (joints(80), lambda arm: 5e-4 * course() * centred(arm), "growth", "warmed up"),
+    ],
+)
+def test_what_changes_while_measuring_is_found_without_stated_noise(arm, stood, shift, kind, words):
+    pattern = first(fitted(arm, stood, shift(arm)))
+    assert (pattern.kind, pattern.name) == (kind, "j3" if kind == "zero" else pattern.name)
+    assert words in describe(pattern, arm.mechanism.dimensions)
 
 
 def test_rows_that_show_a_change_in_their_course_are_not_called_unordered(arm):
-    moved = np.zeros((80, 1, 3))
-    moved[50:, 0, 1] = 2e-4
-    assert not any("random order" in line for line in not_covered(fitted(arm, joints(80), shift=moved)))
+    assert not any("random order" in line for line in not_covered(fitted(arm, joints(80), shift=MOVED)))
     assert any("random order" in line for line in not_covered(fitted(arm, joints(80))))
-
-
-def test_a_joint_that_slipped_while_measuring_is_found(arm):
-    q = joints(80)
-    q[40:, 2] += 4e-4
-    patterns = significant(fitted(arm, q))
-    assert (patterns[0].kind, patterns[0].name) == ("zero", "j3")
-    assert "joint j3 changes in the course of" in describe(patterns[0], arm.mechanism.dimensions)
 
 
 @pytest.mark.parametrize("rows_kept", [10, 1000], ids=["many rows", "few rows"])
 def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm, monkeypatch, rows_kept):
     monkeypatch.setattr(residual_patterns, "KEPT", rows_kept)
     q = joints(80)
-    fit = fitted(arm, q + 2e-4 * np.eye(6)[1] * np.sin(7 * q[:, 1:2]))
+    fit = fitted(arm, off(1, 2e-4 * np.sin(7 * q[:, 1])))
     result = next(p for p in fit.patterns if (p.kind, p.detail) == ("wave", "7 cycles a turn"))
     setting, linear = findings.setting(fit), findings.linear(fit)
     by_joint = setting.joint_columns[:, 1]
@@ -190,8 +203,7 @@ def test_a_constant_shift_is_not_tested_where_the_base_is_free(tmp_path):
 
 def test_enough_data_do_not_make_a_trifle_a_finding(arm):
     q = joints(3000)
-    played = q.copy()
-    played[:, 2] += 6e-6 * directions_of_motion(q)[:, 2]  # a tenth of the noise at the ball
+    played = q + 6e-6 * directions_of_motion(q) * np.eye(6)[2]  # a tenth of the noise at the ball
     fit = fitted(arm, played, n=3000)
     trifle = next(p for p in fit.patterns if (p.kind, p.name) == ("approach", "j3"))
     assert trifle.p_value < 1e-3
@@ -210,15 +222,9 @@ def test_a_joint_that_always_moves_the_same_way_has_no_direction_to_compare(arm)
     assert not any(pattern.kind == "approach" for pattern in again.patterns)
 
 
-def test_exact_data_are_not_tested(arm):
-    fit = calib.fit(arm, measurements(arm, joints(40), arm.positions(joints(40))))
-    assert fit.patterns == ()
-
-
-def test_nothing_is_put_down_to_a_joint_that_never_moved(tmp_path):
+def test_nothing_is_put_down_to_a_joint_that_never_moved(prior_arm):
     """The tracker drifts; joint 1, which stood still, moves the ball in much the same way."""
-    robot = calib.load(write_six_axis(tmp_path, YAML + FREE))
-    q = joints(80)
+    robot, q = prior_arm, joints(80)
     q[:, 0] = 0.2
     drift = np.linspace(-5, 5, 80)[:, None, None] * SIGMA * np.array([0.0, 1.0, 0.0])
     noise = SIGMA * np.random.default_rng(3).standard_normal((80, 1, 3))
@@ -234,14 +240,6 @@ def stiff(tmp_path_factory):
     return calib.load(write_six_axis(tmp_path_factory.mktemp("stiff"), yaml))
 
 
-def course(n=80):
-    return np.linspace(0, 1, n)[:, None, None]
-
-
-def first(fit):
-    return significant(fit)[0]
-
-
 def test_a_wrong_scale_is_found_where_lengths_are_known(stiff):
     pattern = first(fitted(stiff, joints(80), shift=3e-4 * stiff.positions(joints(80))))
     assert pattern.kind in ("scale", "axis")
@@ -251,26 +249,9 @@ def test_a_wrong_scale_is_found_where_lengths_are_known(stiff):
     assert "lengths that are all read +3" in describe(scale, stiff.mechanism.dimensions)
 
 
-def centred(arm):
-    positions = arm.positions(joints(80))
-    return positions - positions.mean(axis=0)
-
-
 def test_a_turned_frame_is_found_where_the_base_is_known(stiff):
     turned = np.cross([0.0, 0.0, 3e-4], centred(stiff))
     assert "turn" in [pattern.kind for pattern in significant(fitted(stiff, joints(80), shift=turned))]
-
-
-def test_a_frame_that_turns_slowly_is_found_without_stated_noise(arm):
-    pattern = first(fitted(arm, joints(80), shift=course() * np.cross([2e-4, 3e-4, 0.0], centred(arm))))
-    assert pattern.kind == "turning"
-    assert "as if a tracker or base had turned" in describe(pattern, arm.mechanism.dimensions)
-
-
-def test_lengths_that_grow_while_measuring_are_found(arm):
-    pattern = first(fitted(arm, joints(80), shift=5e-4 * course() * centred(arm)))
-    assert pattern.kind == "growth"
-    assert "warmed up" in describe(pattern, arm.mechanism.dimensions)
 
 
 def test_an_error_that_follows_a_joint_is_no_sure_change_where_poses_are_sorted_by_it(arm):
@@ -311,10 +292,7 @@ def test_a_target_that_slips_is_found_with_its_size_and_row(arm):
 
 @pytest.mark.parametrize("order", [3, 20, 50])
 def test_a_gear_error_is_found_with_its_cycles_and_height(arm, order):
-    q = joints(80)
-    geared = q.copy()
-    geared[:, 1] += 2e-4 * np.cos(order * q[:, 1] + 0.4)
-    pattern, *others = significant(fitted(arm, geared))
+    pattern, *others = significant(fitted(arm, off(1, 2e-4 * np.cos(order * joints(80)[:, 1] + 0.4))))
     assert (pattern.kind, pattern.name, pattern.detail) == ("wave", "j2", f"{order} cycles a turn")
     assert pattern.amount == pytest.approx(2e-4, rel=0.1)
     assert order > 3 or ("joint", "j2") in [(other.kind, other.name) for other in others]
@@ -355,21 +333,21 @@ def test_of_joint_values_on_a_grid_the_lowest_number_of_cycles_is_named(arm, ste
     assert wave_orders(joints(80))[1].stop == ORDERS.stop
 
 
+def geared(n):
+    """Where joints stand at `joints(n)` if the second follows a wave."""
+    q = joints(n)
+    return q + np.outer(3e-3 * np.sin(41 * q[:, 1]), np.eye(6)[1])
+
+
 def test_a_number_of_cycles_that_few_poses_do_not_determine_is_not_named(arm):
-    q = joints(16)
-    geared = q.copy()
-    geared[:, 1] += 3e-3 * np.sin(41 * q[:, 1])
-    waves = [p for p in fitted(arm, geared, n=16).patterns if p.kind == "wave" and p.name == "j2"]
+    waves = [p for p in fitted(arm, geared(16), n=16).patterns if p.kind == "wave" and p.name == "j2"]
     assert [p.detail for p in waves] == ["a number of cycles a turn that these poses do not determine"]
     assert "joint j2 with a number of cycles a turn that" in describe(waves[0], arm.mechanism.dimensions)
 
 
 def test_no_range_of_cycles_is_named_that_is_all_that_were_tried(arm):
     """On eleven poses beside 26 parameters any number of cycles explains the residuals."""
-    q = joints(11)
-    geared = q.copy()
-    geared[:, 1] += 3e-3 * np.sin(41 * q[:, 1])
-    waves = [p.detail for p in fitted(arm, geared, n=11).patterns if p.kind == "wave"]
+    waves = [p.detail for p in fitted(arm, geared(11), n=11).patterns if p.kind == "wave"]
     assert waves
     assert all(not detail.startswith(("1 to ", "2 to ")) for detail in waves)
 

@@ -20,23 +20,8 @@ from calib.core.judging.row_derivatives import scales
 from calib.core.judging.rules_reach import _covariance_given
 from calib.core.judging.verdict import unordered
 from tests.core.judging.situations import SIGMA
-from tests.project import EXAMPLES
+from tests.project import EXAMPLES, copied
 from tests.six_axis_arm import FREE, YAML, joints, measurements, noisy, write_six_axis
-
-
-@pytest.fixture
-def truth(shop):
-    return shop.truth
-
-
-@pytest.fixture
-def good(shop):
-    return shop.good
-
-
-@pytest.fixture
-def prior_arm(shop):
-    return shop.prior
 
 
 def reason(fit, code):
@@ -52,7 +37,8 @@ def remark(fit, code):
     return verdict_reason
 
 
-def test_a_good_fit_passes_without_reasons(good):
+def test_a_good_fit_passes_without_reasons(shop):
+    good = shop.good
     assert good.verdict.grade == "PASS"
     assert good.verdict.reasons == ()
     said = good.verdict.to_dict()
@@ -75,8 +61,8 @@ def test_a_good_fit_passes_without_reasons(good):
         ),
     ],
 )
-def test_not_converged_fails(good, end, words):
-    failed = replace(good, convergence=end)
+def test_not_converged_fails(shop, end, words):
+    failed = replace(shop.good, convergence=end)
     assert failed.verdict.grade == "FAIL"
     assert words in reason(failed, "not_converged").text
     assert failed.verdict.reasons[0].grade == "FAIL"
@@ -287,10 +273,8 @@ def test_the_score_for_rounding_is_that_of_whole_matrices(arm, truth):
 
 def test_a_scale_that_nothing_shows_is_named(tmp_path, prior_arm):
     free = calib.fit(prior_arm, noisy(prior_arm, joints(80), SIGMA, 1), sigma=SIGMA)
-    assert any(
-        text.startswith("a scale error") and "nothing of known length was measured" in text
-        for text in free.verdict.not_covered
-    )
+    (said,) = (text for text in free.verdict.not_covered if text.startswith("a scale error"))
+    assert "nothing of known length was measured" in said
     yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
     robot = calib.load(write_six_axis(tmp_path, yaml))
     known = calib.fit(robot, noisy(robot, joints(3000), SIGMA, 1), sigma=SIGMA)
@@ -361,12 +345,8 @@ def test_joint_terms_that_the_poses_hardly_decide_are_told(shop, prior_arm):
         assert told == pytest.approx(1e3 * np.sqrt(np.mean(squares)), rel=0.12)  # two digits, and 300 draws
     spread = calib.fit(prior_arm, noisy(prior_arm, 0.5 * joints(60), SIGMA, 1), sigma=SIGMA, terms="gain")
     assert "terms_untested" not in spread.verdict.to_dict()["codes"]
-    beyond = [
-        line
-        for line in spread.verdict.not_covered
-        if line.startswith("not all of the joints' range was measured: over")
-    ]
-    assert len(beyond) == 1  # measured through 1.5 of 6 rad
+    beyond = "not all of the joints' range was measured: over"
+    assert sum(line.startswith(beyond) for line in spread.verdict.not_covered) == 1  # measured through 1.5 of 6 rad
 
 
 def test_what_is_left_uncertain_if_some_were_known_is_the_inverse_of_their_information():
@@ -375,10 +355,8 @@ def test_what_is_left_uncertain_if_some_were_known_is_the_inverse_of_their_infor
     result = _covariance_given(root @ root.T, known)
     information = np.linalg.inv(root).T @ np.linalg.inv(root)
     expected = np.linalg.inv(information[np.ix_(~known, ~known)])
-    size = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(
-        result[np.ix_(~known, ~known)] / np.outer(size, size), expected / np.outer(size, size), atol=1e-5
-    )
+    square = np.outer(*2 * [np.sqrt(np.diag(expected))])
+    np.testing.assert_allclose(result[np.ix_(~known, ~known)] / square, expected / square, atol=1e-5)
     assert np.all(result[known] == 0)
     undetermined = np.diag([2.0, 0.0, 3.0])  # one that nothing moves
     np.testing.assert_array_equal(_covariance_given(undetermined, np.array([False, True, False])), undetermined)
@@ -386,10 +364,7 @@ def test_what_is_left_uncertain_if_some_were_known_is_the_inverse_of_their_infor
 
 def test_values_a_turn_beyond_the_limits_need_a_look_even_where_the_joint_moves_no_target(tmp_path):
     """Degrees read as radians of a UR10's last joint passed, since its reflector sat near that joint's axis."""
-    for name in ("arm.urdf", "arm.yaml"):
-        text = (EXAMPLES / name).read_text()
-        (tmp_path / name).write_text(text.replace("20 mm, 0 mm, 50 mm", "50 mm, 0 mm, 0 mm"))
-    robot = calib.load(tmp_path / "arm.yaml")
+    robot = calib.load(copied(tmp_path, EXAMPLES / "arm.yaml", ("20 mm, 0 mm, 50 mm", "50 mm, 0 mm, 0 mm")))
     q = np.random.default_rng(1).uniform(-1.2, 1.2, (50, 6))
     points = robot.positions(q) + 3e-5 * np.random.default_rng(2).standard_normal((50, 1, 3))
     for factor, grade in ((1.0, "PASS"), (np.degrees(1.0), "CHECK")):

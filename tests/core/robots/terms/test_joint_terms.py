@@ -9,7 +9,7 @@ from calib.core.robots.jacobian import linearise
 from calib.core.robots.terms.term import Context
 from calib.core.robots.terms.terms import parse_terms
 from calib.core.rows.observed import observe, predict_readings
-from tests.kind_checks import assert_terms_move_positions_as_differences_say
+from tests.kind_checks import assert_positions_move_as_differences_say
 from tests.project import EXAMPLES, ROOT, copied, write_table
 from tests.public_data import ur10_tracker
 from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
@@ -120,7 +120,7 @@ def test_derivatives_by_coefficients_agree_with_differences_through_the_loop(fiv
     robot = five_bar.with_parameters(values)
     q = near_home(robot, 7, 5)
     context = Context.from_conditions(np.sign(rng.standard_normal(q.shape)), {})
-    assert_terms_move_positions_as_differences_say(robot, q, context)
+    assert_positions_move_as_differences_say(robot, q, context)
 
 
 def test_readings_and_positions_have_the_same_derivatives(five_bar):

@@ -34,22 +34,22 @@ def test_every_joint_origin_on_the_way_is_free_with_default_priors(tmp_path):
     assert not any(p.prior for p in robot.parameters if p.placement)
 
 
-def test_fixed_side_branches_do_not_count_as_branches(tmp_path):
-    robot = plain(tmp_path, ("camera", "fixed", "1", "lens"), *CHAIN, ("light", "fixed", "w", "lamp"))
-    assert robot.target_names == ("3",)
-    assert robot.joint_names == ("a", "b")
+ARMS = (("left", "revolute", "3", "hand_1"), ("right", "revolute", "3", "hand_2"))
 
 
-def test_of_several_ends_behind_the_same_joints_the_last_in_the_file_is_the_last_link(tmp_path):
-    robot = plain(tmp_path, *CHAIN, ("flange", "fixed", "2", "tool0"))
-    assert robot.target_names == ("tool0",)
-
-
-def test_of_branches_the_longest_chain_is_taken_and_of_equal_ones_the_first(tmp_path):
-    arms = (("left", "revolute", "3", "hand_1"), ("right", "revolute", "3", "hand_2"))
-    assert plain(tmp_path, *CHAIN, *arms).joint_names == ("a", "b", "left")
-    longer = plain(tmp_path, *CHAIN, *arms, ("wrist", "revolute", "hand_2", "end"))
-    assert (longer.joint_names, longer.target_names) == (("a", "b", "right", "wrist"), ("end",))
+@pytest.mark.parametrize(
+    ("chain", "joints", "target"),
+    [
+        ((("camera", "fixed", "1", "lens"), *CHAIN, ("light", "fixed", "w", "lamp")), ("a", "b"), "3"),
+        ((*CHAIN, ("flange", "fixed", "2", "tool0")), ("a", "b"), "tool0"),
+        ((*CHAIN, *ARMS), ("a", "b", "left"), "hand_1"),
+        ((*CHAIN, *ARMS, ("wrist", "revolute", "hand_2", "end")), ("a", "b", "right", "wrist"), "end"),
+    ],
+    ids=["no branch that is fixed", "the last of ends behind the same joints", "the first of equal", "the longest"],
+)
+def test_which_chain_of_several_is_the_robot(tmp_path, chain, joints, target):
+    robot = plain(tmp_path, *chain)
+    assert (robot.joint_names, robot.target_names) == (joints, (target,))
 
 
 def test_the_base_is_the_link_that_the_first_moving_joint_stands_on(tmp_path):

@@ -170,6 +170,7 @@ def random_urdf(dice: random.Random) -> tuple[bytes, dict]:
 
 TWO = '<robot name="r"><link name="a"/><link name="b"/>{}</robot>'
 JOINT = '<joint name="j" type="{}"><parent link="a"/><child link="b"/>{}</joint>'
+FIXED = JOINT.format("fixed", "")
 
 
 @pytest.mark.parametrize(
@@ -195,19 +196,11 @@ JOINT = '<joint name="j" type="{}"><parent link="a"/><child link="b"/>{}</joint>
         (TWO.format('<joint name="j" type="fixed"><child link="b"/></joint>'), "joint 'j': has no <parent>"),
         (TWO.format('<joint type="fixed"/>'), "<joint> has no 'name'"),
         (TWO.format('<joint name="" type="fixed"/>'), "<joint> has no 'name'"),
-        (TWO.format(JOINT.format("fixed", "") + JOINT.format("fixed", "")), "joint 'j' is defined twice"),
+        (TWO.format(FIXED + FIXED), "joint 'j' is defined twice"),
         (TWO.format('<link name="a"/>'), "link 'a' is defined twice"),
-        (TWO.format(JOINT.format("fixed", "").replace('"b"', '"bb"')), "no link 'bb'"),
-        (
-            TWO.format(JOINT.format("fixed", "") + JOINT.format("fixed", "").replace('"j"', '"k"')),
-            "child of joints 'j'",
-        ),
-        (
-            TWO.format(
-                JOINT.format("fixed", "") + '<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint>'
-            ),
-            "ring",
-        ),
+        (TWO.format(FIXED.replace('"b"', '"bb"')), "no link 'bb'"),
+        (TWO.format(FIXED + FIXED.replace('"j"', '"k"')), "child of joints 'j'"),
+        (TWO.format(FIXED + '<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint>'), "ring"),
     ],
 )
 def test_what_cannot_be_read_says_what_and_where(source: str, words: str) -> None:

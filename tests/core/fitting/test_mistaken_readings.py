@@ -44,26 +44,16 @@ def two_encoders(folder):
 
 
 def with_readings(data, name, change):
-    return replace(
-        data, readings={**data.readings, name: replace(data.readings[name], values=change(data.readings[name].values))}
-    )
+    readings = data.readings[name]
+    return replace(data, readings={**data.readings, name: replace(readings, values=change(readings.values))})
 
 
-def with_joint(data, j, change):
-    joints = data.joints.copy()
-    joints[:, j] = change(joints[:, j])
-    return replace(data, joints=joints)
-
-
+INCHES = np.array([25.4, 25.4, 25.4, 1, 1])
 MISTAKES = {
     "an encoder": (driven, lambda d: with_readings(d, "encoder", np.negative), "encoder counts the other way"),
     "counts": (driven, lambda d: with_readings(d, "encoder", lambda v: 2 * v), "encoder was 2 times as far"),
-    "an axis": (machined, lambda d: with_joint(d, 4, np.negative), "joint c has the wrong sign"),
-    "inches": (
-        machined,
-        lambda d: replace(d, joints=d.joints / [25.4, 25.4, 25.4, 1, 1]),
-        "joint values were inches read as mm",
-    ),
+    "an axis": (machined, lambda d: replace(d, joints=d.joints * [1, 1, 1, 1, -1]), "joint c has the wrong sign"),
+    "inches": (machined, lambda d: replace(d, joints=d.joints / INCHES), "joint values were inches read as mm"),
     "a motor": (roughly_known, lambda d: with_readings(d, "b", np.negative), "b counts the other way"),
     "columns": (
         two_encoders,
@@ -75,16 +65,8 @@ MISTAKES = {
         lambda d: replace(d, joints=np.roll(d.joints, 1, axis=0)).subset(np.flatnonzero(np.arange(40) % 4)),
         "all joint values are one row below their measurements",
     ),
-    "azimuths": (
-        pointed,
-        lambda d: with_readings(d, "star", lambda v: v * [-1, 1]),
-        "azimuths count the other way",
-    ),
-    "centimetres": (
-        sighted,
-        lambda d: with_readings(d, "eye", lambda v: v / 10),
-        "positions in cm were read as mm",
-    ),
+    "azimuths": (pointed, lambda d: with_readings(d, "star", lambda v: v * [-1, 1]), "azimuths count the other way"),
+    "centimetres": (sighted, lambda d: with_readings(d, "eye", lambda v: v / 10), "positions in cm were read as mm"),
 }
 
 

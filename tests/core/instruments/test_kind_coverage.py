@@ -104,17 +104,11 @@ def by_other_code(kind, values, exact, rng):
 
 @dataclass(frozen=True)
 class Coverage:
-    """What many calibrations found.
+    """What many calibrations found."""
 
-    Attributes:
-        parameters: Part of them whose 95 % interval holds the truth, of each free parameter.
-        chi_square: Mean of chi-square over its degrees of freedom.
-        refused: Part of them that a test of chi-square at 5 % refuses.
-    """
-
-    parameters: np.ndarray
-    chi_square: float
-    refused: float
+    parameters: np.ndarray  # part of them whose 95 % interval holds the truth, of each free parameter
+    chi_square: float  # mean of chi-square over its degrees of freedom
+    refused: float  # part of them that a test of chi-square at 5 % refuses
 
     def __str__(self):
         percent = 100 * self.parameters

@@ -31,11 +31,17 @@ def test_every_pose_that_closes_in_the_closed_form_is_found_with_parameters_far_
         assert np.max(np.abs(positions - oracle.p_world_tool)) < 1e-10
 
 
-def test_motor_zeros_that_are_20_degrees_off_leave_the_five_bar_whole(tmp_path):
-    """Zeros of the motors are an offset of their joint values: the same elbow angles, from other commands."""
+@pytest.fixture
+def five_bar(tmp_path):
+    """It, poses of it, and its passive joints there."""
     robot = edited_five_bar(tmp_path)
     q = calib.read_poses(EXAMPLES / "five_bar_simulated.csv", robot).joints
-    expected = robot.assemble(q).passive
+    return robot, q, robot.assemble(q).passive
+
+
+def test_motor_zeros_that_are_20_degrees_off_leave_the_five_bar_whole(five_bar):
+    """Zeros of the motors are an offset of their joint values: the same elbow angles, from other commands."""
+    robot, q, expected = five_bar
     zeros = np.radians([20.0, -20.0])
     moved = robot.with_parameters({"left_motor.rz": zeros[0], "right_motor.rz": zeros[1]})
     assert np.max(np.abs(moved.assemble(q - zeros).passive - expected)) < 1e-11
@@ -100,20 +106,17 @@ def test_robots_in_use_are_shared_by_threads(medrue):
     assert np.allclose(result, [expected] * 8, rtol=0, atol=1e-12)
 
 
-def test_limits_that_lie_a_turn_away_are_the_same_limits(tmp_path):
-    robot = edited_five_bar(tmp_path)
-    q = calib.read_poses(EXAMPLES / "five_bar_simulated.csv", robot).joints
-    expected = robot.assemble(q).passive
+def test_limits_that_lie_a_turn_away_are_the_same_limits(five_bar, tmp_path):
+    _, q, expected = five_bar
     turn = 2 * np.pi
     shifted = edited_five_bar(tmp_path, (r'lower="-3" upper="0"', f'lower="{turn - 3!r}" upper="{turn!r}"'))
     assert np.max(np.abs(shifted.assemble(q).passive - expected - [turn, 0.0])) < 1e-11
 
 
-def test_goals_are_reached_through_passive_joints_without_limits(tmp_path):
-    limited = edited_five_bar(tmp_path)
-    q = calib.read_poses(EXAMPLES / "five_bar_simulated.csv", limited).joints[:12]
+def test_goals_are_reached_through_passive_joints_without_limits(five_bar, tmp_path):
+    limited, q, _ = five_bar
     robot = edited_five_bar(tmp_path, (r'(<joint name="(?:left|right)_elbow" type=)"revolute"', r'\1"continuous"'))
-    positions = limited.positions(q)[:, 0]
+    positions = limited.positions(q[:12])[:, 0]
     solution = solve(robot, Goals(positions))
     assert solution.ok.all()
     assert np.max(np.abs(robot.positions(solution.q)[:, 0] - positions)) < 1e-9

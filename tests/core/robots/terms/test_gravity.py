@@ -197,13 +197,38 @@ def test_a_description_that_says_no_direction_is_refused(tmp_path, gravity, mess
         described(tmp_path, gravity)
 
 
+VECTOR = "gravity_x,gravity_y,gravity_z"
+
+
+def with_columns(folder, gravity, head, cells):
+    """Measurements of two visits with these columns."""
+    robot = described(folder, gravity)
+    rows = [f"0,0,{0.1 * k},0.9,0,0.5,{cell}" for k, cell in enumerate(cells)]
+    (folder / "data.csv").write_text("\n".join([f"{HEADER},{head}", *rows]))
+    return calib.read_measurements(folder / "data.csv", robot)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "downs", "message"),
+    [
+        ("{down: [0, 0, 1]}", ("0,0,-1", "0,0,-1"), "line 2: the direction of gravity that was read is 180 deg from"),
+        ("{down: [0, 0, -1]}", ("0,0,-1", "1,0,0"), "line 3: the direction of gravity that was read is 90 deg from"),
+        ("{down: [0, 0, 1], frame: upper}", ("0,0,-1", "0,0,-1"), "line 2: .* 180 deg from"),
+        ("{down: [0, 0, 1], sigma: 20 deg}", ("0,0,1", "1,0,0"), "line 3: .* 90 deg from"),
+        ("{}", ("0,0,-1", ",,"), "line 3: a cell of gravity_x"),
+        ("{}", ("0,0,0", "0,0,0"), "line 2: gravity is 0 long"),
+        ("{}", ("0,0,-9.8", "0,0,-0.98"), "line [23]: gravity is"),
+    ],
+)
+def test_a_direction_that_cannot_be_or_contradicts_the_one_that_is_stated_is_refused(tmp_path, gravity, downs, message):
+    with pytest.raises(calib.DataError, match=message):
+        with_columns(tmp_path, gravity, VECTOR, downs)
+
+
 @pytest.mark.parametrize(
     ("head", "cells", "message"),
     [
         ("gravity_x,gravity_y", ("0,0", "0,0"), "no column 'gravity_z'; gravity's direction needs gravity_x"),
-        ("gravity_x,gravity_y,gravity_z", ("0,0,-1", ",,"), "line 3: a cell of gravity_x"),
-        ("gravity_x,gravity_y,gravity_z", ("0,0,0", "0,0,0"), "line 2: gravity is 0 long"),
-        ("gravity_x,gravity_y,gravity_z", ("0,0,-9.8", "0,0,-0.98"), "line [23]: gravity is"),
         ("gravity_x,gravity_y,gravity_Z", ("0,0,-1", "0,0,-1"), "no column 'gravity_z'; gravity's direction needs"),
         ("acelerometer_x,acelerometer_y,acelerometer_z", ("0,0,1", "0,0,1"), "did you mean 'accelerometer_x'"),
         ("gravity_tilt_x,gravity_tilt_y", ("0,12", "0,11"), "beyond 85 deg.*Without .deg. in its header a column is"),
@@ -216,11 +241,8 @@ def test_a_description_that_says_no_direction_is_refused(tmp_path, gravity, mess
     ],
 )
 def test_a_file_that_says_no_direction_is_refused(tmp_path, head, cells, message):
-    robot = described(tmp_path, "{}")
-    rows = [f"0,0,{0.1 * k},0.9,0,0.5,{cell}" for k, cell in enumerate(cells)]
-    (tmp_path / "data.csv").write_text("\n".join([f"{HEADER},{head}", *rows]))
     with pytest.raises(calib.DataError, match=message):
-        calib.read_measurements(tmp_path / "data.csv", robot)
+        with_columns(tmp_path, "{}", head, cells)
 
 
 def test_of_two_files_both_say_where_gravity_points_or_none(tmp_path):
@@ -487,28 +509,6 @@ def test_two_joints_about_one_axis_cannot_be_told_apart(tmp_path):
         calib.read_measurements(tmp_path / "data.csv", robot)
 
 
-def reading_of(tmp_path, gravity, *downs):
-    """Measurements with gravity as it was read at each visit."""
-    robot = described(tmp_path, gravity)
-    rows = [f"0,0,{0.1 * k},0.9,0,0.5,{down}" for k, down in enumerate(downs)]
-    (tmp_path / "data.csv").write_text("\n".join([f"{HEADER},gravity_x,gravity_y,gravity_z", *rows]))
-    return calib.read_measurements(tmp_path / "data.csv", robot)
-
-
-@pytest.mark.parametrize(
-    ("gravity", "downs", "message"),
-    [
-        ("{down: [0, 0, 1]}", ("0,0,-1", "0,0,-1"), "line 2: the direction of gravity that was read is 180 deg from"),
-        ("{down: [0, 0, -1]}", ("0,0,-1", "1,0,0"), "line 3: the direction of gravity that was read is 90 deg from"),
-        ("{down: [0, 0, 1], frame: upper}", ("0,0,-1", "0,0,-1"), "line 2: .* 180 deg from"),
-        ("{down: [0, 0, 1], sigma: 20 deg}", ("0,0,1", "1,0,0"), "line 3: .* 90 deg from"),
-    ],
-)
-def test_a_sensor_that_contradicts_the_stated_direction_is_refused(tmp_path, gravity, downs, message):
-    with pytest.raises(calib.DataError, match=message):
-        reading_of(tmp_path, gravity, *downs)
-
-
 @pytest.mark.parametrize(
     ("gravity", "downs"),
     [
@@ -518,4 +518,4 @@ def test_a_sensor_that_contradicts_the_stated_direction_is_refused(tmp_path, gra
     ],
 )
 def test_a_sensor_may_read_what_the_description_leaves_open(tmp_path, gravity, downs):
-    assert len(reading_of(tmp_path, gravity, *downs)) == 2
+    assert len(with_columns(tmp_path, gravity, VECTOR, downs)) == 2

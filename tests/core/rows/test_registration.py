@@ -12,6 +12,7 @@ from calib.core.rows.registration import register
 from medrue import robot_file
 from tests.project import EXAMPLES, copied
 from tests.small_robots import ARM_YAML, write_arm
+from tests.urdf_trees import urdf_of
 
 ROUNDING = 1e-9
 """The iteration of the rigid fits stops below a nanometre."""
@@ -107,13 +108,11 @@ FREE_PLACES = "pose: unknown}\ntargets: {tip: {frame: LAST, xyz: [0, 0, 0.1], po
 def chain(folder, name, held=""):
     """A robot of joints one after the other, with unknown base and target."""
     axes = CHAINS[name]
-    links = "".join(f'<link name="l{k}"/>' for k in range(len(axes) + 1))
-    joints = "".join(
-        f'<joint name="j{k}" type="{kind}"><parent link="l{k}"/><child link="l{k + 1}"/><origin xyz="{xyz}"/>'
-        f'<axis xyz="{axis}"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+    joints = (
+        (f"j{k}", kind, f"l{k}", f"l{k + 1}", f'<origin xyz="{xyz}"/><axis xyz="{axis}"/>')
         for k, (kind, xyz, axis) in enumerate(axes)
     )
-    (folder / "chain.urdf").write_text(f'<robot name="chain">{links}{joints}</robot>')
+    (folder / "chain.urdf").write_text(urdf_of(*joints))
     text = f"urdf: chain.urdf\nname_mot: [{', '.join(f'j{k}' for k in range(len(axes)))}]\nbase: {{frame: l0, "
     text += FREE_PLACES.replace("LAST", f"l{len(axes)}") + "  - {origin: j0, components: [x], sigma: 1 mm}\n"
     (folder / "chain.yaml").write_text(text + f"held: [{held}]\n")

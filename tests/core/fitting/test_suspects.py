@@ -181,14 +181,10 @@ def test_two_joints_that_are_a_little_scaled_get_no_pass(arm, data):
     assert "joint j4 0.9709 times as far, joint j5 0.9709 times as far" in str(with_gains)
 
 
-def with_zeros(arm, data, rows):
-    positions = data.points(arm)
-    positions[list(rows)] = 0.0
-    return with_points(arm, data, positions)
-
-
 def test_readings_of_zero_are_named_alone_and_beside_another_mistake(arm, data):
-    wrong = with_zeros(arm, data, [7, 30])
+    positions = data.points(arm)
+    positions[[7, 30]] = 0.0
+    wrong = with_points(arm, data, positions)
     zeros = "probable mistake: 2 readings of exactly 0, 0, 0 (row 7, row 30) were empty"
     assert likely_mistake(arm, wrong).startswith(f"{zeros}. Corrected")
     wrong = replace(wrong, joints=turned(2)(wrong.joints))

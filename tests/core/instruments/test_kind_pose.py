@@ -81,21 +81,6 @@ def test_base_and_sensor_frame_are_placed_from_anywhere(tmp_path):
     assert np.max((Rotation.from_matrix(result[:, :3, :3]).inv() * turned).magnitude()) < 1e-7
 
 
-def test_a_known_truth_is_found_again(tmp_path):
-    robot = arm(tmp_path, YAML.replace("target: cell}", "target: cell, sigma: 0.1 um, sigma_angle: 0.1 urad}"))
-    rng = np.random.default_rng(6)
-    values = robot.values.copy()
-    values += 0.5 * np.array([p.sigma_si for p in robot.parameters]) * rng.standard_normal(len(values))
-    truth = robot.with_parameters(values)
-    q = joints(50, 7)
-    T = truth.forward(q, "cell")
-    read = np.hstack([T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()])
-    fit = calib.fit(robot, calib.as_measurements(robot, q, {"tracker": read}))
-    other = joints(20, 8)
-    assert fit.converged
-    assert np.max(np.abs(fit.robot.forward(other, "cell") - truth.forward(other, "cell"))) < 1e-6
-
-
 @pytest.mark.quick(0)
 @pytest.mark.amount(0, 20)
 def test_intervals_hold_the_truth_with_anisotropic_noise_and_with_errors_shared_by_a_visit(tmp_path, amount):

@@ -55,13 +55,6 @@ def arm_with(folder, instrument, free=FREE):
     return calib.load(write_six_axis(folder, YAML.replace("INSTRUMENT", instrument) + free))
 
 
-def directions(rng, n):
-    """Unit vectors on the upper half of a sphere, (n, 3)."""
-    result = rng.normal(size=(n, 3))
-    result[:, 2] = np.abs(result[:, 2])
-    return result / np.linalg.norm(result, axis=1)[:, None]
-
-
 def touched_points(case, rng, n):
     """Names of what is touched, where the ball's centre then is (n, 3), and how far a touch may move it (n, 3, k)."""
     rotation, origin = PLACED
@@ -74,7 +67,9 @@ def touched_points(case, rng, n):
         which = rng.integers(0, 2 if case == "bar" else 3, n)
         return np.array(["p", "q", "r"])[which], points[which] @ rotation.T + origin, every
     if case in ("spheres", "balls"):
-        u = directions(rng, n)
+        u = rng.normal(size=(n, 3))
+        u[:, 2] = np.abs(u[:, 2])  # on the upper half of a sphere
+        u /= np.linalg.norm(u, axis=1)[:, None]
         length = np.array([0.043, 0.033])[which] if case == "spheres" else np.full(n, 0.025)
         centres = np.array([[0.5, 0.2, 0.6], [0.7, -0.3, 0.4]])[which]
         if case == "balls":

@@ -35,7 +35,3 @@ def test_a_model_by_some_parameters_holds_the_others(model):
     part = model.select_parameters(some)
     assert part.cost == pytest.approx(np.sum(model.residuals**2) + np.sum(model.deviations[[0, 3]] ** 2))
     np.testing.assert_allclose(part.step(), stacked(part, part.residuals), rtol=1e-9)
-
-
-def test_rows_that_were_not_read_count_in_no_group(model):
-    assert model.layout.counts.tolist() == [20, 15]

@@ -1,6 +1,4 @@
-"""What every kind of measurement keeps: exact derivatives, alone and through the chain of a robot, loops or none.
-
-And what cannot be said of each in a description."""
+"""What every kind of measurement keeps: exact derivatives, alone and through a chain, and what cannot be said of it."""
 
 import re
 from pathlib import Path

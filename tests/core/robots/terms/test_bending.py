@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib
 from calib.core.robots.terms.term import Context
@@ -20,13 +21,7 @@ SOFT = np.array([3e-6, 5e-6, 1e-5])  # of the arm's three joints, across [rad / 
 
 
 def turned(vector):
-    """The rotation by a rotation vector (3,)."""
-    angle = np.linalg.norm(vector)
-    if angle == 0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return Rotation.from_rotvec(vector).as_matrix()
 
 
 def bent(q, tilts, load=0.0):

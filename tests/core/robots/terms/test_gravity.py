@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib
 from calib.core.robots.terms.term import Context
@@ -30,15 +31,6 @@ def described(folder, gravity, *more):
 
 def unit(vectors):
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def sensor_axes(q):
-    """How the link `upper` is turned in the base, (n, 3, 3): about z, then y."""
-    c, s = np.cos(q), np.sin(q)
-    zero, ones = np.zeros(len(q)), np.ones(len(q))
-    turn = np.array([[c[:, 0], -s[:, 0], zero], [s[:, 0], c[:, 0], zero], [zero, zero, ones]])
-    lift = np.array([[c[:, 1], zero, s[:, 1]], [zero, ones, zero], [-s[:, 1], zero, c[:, 1]]])
-    return np.einsum("abn,bcn->nac", turn, lift)
 
 
 def some_directions(n, seed, tilt=0.5):
@@ -73,7 +65,7 @@ def test_a_sensor_on_a_link_that_moves_reads_the_direction_at_each_visit(tmp_pat
     robot = described(tmp_path, "{frame: upper}")
     q = poses(robot, 10, 2)
     down = some_directions(10, 3)
-    read = np.einsum("nab,na->nb", sensor_axes(q), down)
+    read = Rotation.from_euler("ZY", q[:, :2]).inv().apply(down)  # the link `upper` is turned about z, then y
     more = {f"{sensor}_{axis} [m/s^2]": G * x for axis, x in zip("xyz", read.T, strict=True)}
     if sensor == "accelerometer":  # at rest it is held up against gravity
         more = {name: -x for name, x in more.items()}
@@ -125,7 +117,7 @@ def test_a_direction_is_found_from_data_of_other_code(tmp_path):
     assert fit.converged
     known = dict(zip(fit.free_names, fit.statistics.std, strict=True))
     (x, y), std = fit.robot.values[-2:], np.array([known["gravity.rx"], known["gravity.ry"]])
-    result = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]]) @ [-np.sin(y), 0, -np.cos(y)]
+    result = Rotation.from_euler("XY", [x, y]).apply([0, 0, -1])
     assert np.linalg.norm(result - down) < 4 * np.linalg.norm(std) < 0.05
     assert fit.robot.values[robot.coefficients][:3] == pytest.approx(given, rel=0.1)
     fit.save(tmp_path / "out", pages=False)
@@ -268,9 +260,9 @@ MAST = (
 )
 MAST_YAML = """\
 urdf: mast.urdf
-name_mot: [tip_x, tip_y, lift, lean_x, lean_y, turn]
+name_mot: [tip_x, tip_y, lift, lean_x, lean_y, turn, slide]
 base: {frame: ground}
-targets: {ball: {frame: tool, xyz: [0.8, 0, 0]}}
+targets: {ball: {frame: rod, xyz: [0.8, 0, 0]}}
 parametrisation:
   - {origin: turn, components: [x, y], sigma: 1 mm}
 """
@@ -279,7 +271,7 @@ inclinometers:
   low: {frame: tracks, joints: [tip_x, tip_y]}
   high: {frame: head, joints: [lean_x, lean_y]}
 """
-TOLD = "lift [m],turn [rad],ball_x [m],ball_y [m],ball_z [m]"
+TOLD = "lift [m],turn [rad],slide [m],ball_x [m],ball_y [m],ball_z [m]"
 
 
 def mast(folder, more=SENSORS, urdf=MAST):
@@ -288,31 +280,23 @@ def mast(folder, more=SENSORS, urdf=MAST):
     return calib.load(folder / "mast.yaml")
 
 
-def about(axis, angle):
-    c, s = np.cos(angle), np.sin(angle)
-    rows = {"x": [[1, 0, 0], [0, c, -s], [0, s, c]], "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]]}
-    return np.array(rows.get(axis, [[c, -s, 0], [s, c, 0], [0, 0, 1]]))
-
-
 def leaning(n, seed):
-    """Joints of the mast, where its ball is and what its accelerometers read, by rotations written out."""
+    """Joints of the mast with its rod, where its ball is and what its accelerometers read, by rotations of scipy."""
     rng = np.random.default_rng(seed)
-    q = rng.uniform([-0.1, -0.1, 0, -0.1, -0.1, -3], [0.1, 0.1, 3, 0.1, 0.1, 3], (n, 6))
-    points, low, high = [], [], []
-    for tip_x, tip_y, lift, lean_x, lean_y, turn in q:
-        tracks = about("x", tip_x) @ about("y", tip_y)
-        head = tracks @ about("x", lean_x) @ about("y", lean_y)
-        points.append(tracks @ [0.5, 0, 0.2 + lift] + head @ about("z", turn) @ [0.8, 0, 0])
-        low.append(G * tracks[2])
-        high.append(G * head[2])
-    return q, np.array(points), np.array(low), np.array(high)
+    q = rng.uniform([-0.1, -0.1, 0, -0.1, -0.1, -3, -0.4], [0.1, 0.1, 3, 0.1, 0.1, 3, 0.4], (n, 7))
+    zero = np.zeros(n)
+    tracks = Rotation.from_euler("XY", q[:, :2])
+    head = tracks * Rotation.from_euler("XY", q[:, 3:5])
+    rod = (head * Rotation.from_euler("Z", q[:, [5]])).apply(np.column_stack([0.8 + q[:, 6], zero, zero]))
+    points = tracks.apply(np.column_stack([zero + 0.5, zero, 0.2 + q[:, 2]])) + rod
+    return q, points, *(G * link.inv().apply([0, 0, 1]) for link in (tracks, head))
 
 
 @pytest.mark.parametrize("way", ["accelerometer", "gravity_tilt"])
 def test_joints_that_nobody_commands_are_read_by_inclinometers(tmp_path, way):
     robot = mast(tmp_path)
     q, points, low, high = leaning(8, 8)
-    head, cells = TOLD, [q[:, 2], q[:, 5], points]
+    head, cells = TOLD, [q[:, 2], q[:, 5], q[:, 6], points]
     for name, read in (("low", low), ("high", high)):
         head += "".join(f",{name}_{way}_{axis}" for axis in "xyz"[: 3 if way == "accelerometer" else 2])
         tilts = [np.arctan2(read[:, 1], read[:, 2]), np.arctan2(-read[:, 0], read[:, 2])]
@@ -330,26 +314,8 @@ def test_joints_that_nobody_commands_are_read_by_inclinometers(tmp_path, way):
 def test_foreign_columns_may_be_what_an_inclinometer_reads(tmp_path):
     columns = "columns: {imu_x: low_accelerometer_x, imu_y: low_accelerometer_y, imu_z: low_accelerometer_z}\n"
     robot = mast(tmp_path, SENSORS.replace("  high: {frame: head, joints: [lean_x, lean_y]}\n", columns))
-    (tmp_path / "data.csv").write_text(f"{TOLD},lean_x,lean_y,imu_x,imu_y,imu_z\n1,0,1,0,1,0,0,0,0,9.8\n")
-    assert np.allclose(calib.read_measurements(tmp_path / "data.csv", robot).joints, [[0, 0, 1, 0, 0, 0]])
-
-
-def sliding(folder, *more):
-    """The mast with a rod that slides, so that its ball reaches every place around; masses and compliance."""
-    (folder / "mast.urdf").write_text(MAST)
-    text = MAST_YAML.replace("turn]", "turn, slide]").replace("frame: tool", "frame: rod")
-    (folder / "mast.yaml").write_text("".join([text, *more, SENSORS]))
-    return calib.load(folder / "mast.yaml")
-
-
-def slid(n, seed):
-    """Joints, where the ball is, and what the sensors read, as `leaning`, with the rod somewhere."""
-    q, points, low, high = leaning(n, seed)
-    s = np.random.default_rng(seed).uniform(-0.4, 0.4, n)
-    for k, (tip_x, tip_y, _, lean_x, lean_y, turn) in enumerate(q):
-        turned = [about("x", tip_x), about("y", tip_y), about("x", lean_x), about("y", lean_y), about("z", turn)]
-        points[k] += np.linalg.multi_dot(turned) @ [s[k], 0, 0]
-    return np.column_stack([q, s]), points, low, high
+    (tmp_path / "data.csv").write_text(f"{TOLD},lean_x,lean_y,imu_x,imu_y,imu_z\n1,0,0,1,0,1,0,0,0,0,9.8\n")
+    assert np.allclose(calib.read_measurements(tmp_path / "data.csv", robot).joints, [[0, 0, 1, 0, 0, 0, 0]])
 
 
 def reading(low, high):
@@ -363,8 +329,8 @@ def written(path, columns):
 
 
 def test_goals_are_reached_as_the_robot_stands(tmp_path, run_calib):
-    robot = sliding(tmp_path)
-    q, points, low, high = slid(6, 11)
+    robot = mast(tmp_path)
+    q, points, low, high = leaning(6, 11)
     goals = {f"ball_{axis} [m]": values for axis, values in zip("xyz", points.T, strict=True)}
     file = written(tmp_path / "goals.csv", goals | reading(low, high))
     run = run_calib("solve", tmp_path / "mast.yaml", file, "--out", tmp_path / "solved.csv")
@@ -378,8 +344,8 @@ def test_goals_are_reached_as_the_robot_stands(tmp_path, run_calib):
 
 
 def test_a_program_is_compensated_as_the_robot_stands(tmp_path):
-    robot = sliding(tmp_path)
-    q, points, low, high = slid(6, 12)
+    robot = mast(tmp_path)
+    q, points, low, high = leaning(6, 12)
     told = {name: q[:, k] for k, name in enumerate(robot.joint_names) if name in robot.commanded_names}
     program = calib.read_poses(written(tmp_path / "program.csv", told | reading(low, high)), robot)
     true = robot.with_parameters({"turn.x": 2e-3, "turn.y": -1e-3})
@@ -420,7 +386,7 @@ def test_goals_in_a_setup_have_its_gravity(tmp_path, run_calib):
     ],
 )
 def test_goals_that_do_not_say_how_the_robot_stands_are_refused(tmp_path, run_calib, columns, message):
-    sliding(tmp_path)
+    mast(tmp_path)
     goals = {f"ball_{axis} [m]": [value] for axis, value in zip("xyz", (1.2, 0.1, 1.0), strict=True)}
     file = written(tmp_path / "goals.csv", goals | columns)
     run = run_calib("solve", tmp_path / "mast.yaml", file, "--out", tmp_path / "solved.csv")
@@ -430,7 +396,7 @@ def test_goals_that_do_not_say_how_the_robot_stands_are_refused(tmp_path, run_ca
 
 
 def test_a_sensor_behind_what_is_to_be_found_cannot_say_how_the_robot_stands(tmp_path, run_calib):
-    sliding(tmp_path)
+    mast(tmp_path)
     (tmp_path / "mast.urdf").write_text(MAST.replace('name="lift" type="prismatic"', 'name="lift" type="revolute"'))
     goals = {f"ball_{axis} [m]": [value] for axis, value in zip("xyz", (1.2, 0.1, 1.0), strict=True)}
     file = written(tmp_path / "goals.csv", goals | reading(np.array([[0, 0, G]]), np.array([[0, 0, G]])))
@@ -496,7 +462,7 @@ UP = ",".join(f"low_accelerometer_{axis}" for axis in "xyz")
 )
 def test_a_file_in_which_inclinometers_say_too_little_is_refused(tmp_path, head, cells, message):
     robot = mast(tmp_path)
-    (tmp_path / "data.csv").write_text(f"{TOLD}{head}\n1,0,1,0,1{cells}\n")
+    (tmp_path / "data.csv").write_text(f"{TOLD}{head}\n1,0,0,1,0,1{cells}\n")
     with pytest.raises(calib.DataError, match=message):
         calib.read_measurements(tmp_path / "data.csv", robot)
 
@@ -504,7 +470,7 @@ def test_a_file_in_which_inclinometers_say_too_little_is_refused(tmp_path, head,
 def test_two_joints_about_one_axis_cannot_be_told_apart(tmp_path):
     robot = mast(tmp_path, urdf=MAST.replace("0 1 0", "1 0 0", 1))
     head = f"{TOLD},lean_x,lean_y,low_accelerometer_x,low_accelerometer_y,low_accelerometer_z"
-    (tmp_path / "data.csv").write_text(f"{head}\n1,0,1,0,1,0,0,1,0,9.8\n")
+    (tmp_path / "data.csv").write_text(f"{head}\n1,0,0,1,0,1,0,0,1,0,9.8\n")
     with pytest.raises(calib.DataError, match="line 2: tip_x and tip_y have no values at which 'low' reads this"):
         calib.read_measurements(tmp_path / "data.csv", robot)
 

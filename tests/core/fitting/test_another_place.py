@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib
 from tests.project import write_table
@@ -41,11 +42,9 @@ def written(path, measured, places):
 
 
 def laid_through(predicted, points):
-    """Root mean square distance of points from predicted ones that are moved onto them as one body (Kabsch)."""
-    a, b = predicted - predicted.mean(axis=0), points - points.mean(axis=0)
-    left, _, right = np.linalg.svd(a.T @ b)
-    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
-    return np.sqrt(np.mean(np.sum((a @ turn - b) ** 2, axis=1)))
+    """Root mean square distance of points from predicted ones that are moved onto them as one body."""
+    _, distance = Rotation.align_vectors(points - points.mean(axis=0), predicted - predicted.mean(axis=0))
+    return distance / np.sqrt(len(points))
 
 
 def others(left_out):

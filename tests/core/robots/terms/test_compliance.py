@@ -10,6 +10,7 @@ import pytest
 import calib
 from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.terms.term import Context
+from tests.core.robots.test_loops import by_hand, elbows
 from tests.kind_checks import assert_positions_move_as_differences_say
 from tests.project import EXAMPLES, write_table
 
@@ -78,14 +79,9 @@ def arm_at(q):
 
 
 def five_bar_at(q):
-    """The same of the five-bar of the examples put upright, its two arms met by the intersection of two circles."""
-    motors = np.array([[-0.1, 0.0], [0.1, 0.0]])
-    elbows = motors + 0.2 * np.stack([np.cos(q), np.sin(q)], axis=1)
-    middle, apart = elbows.mean(axis=0), elbows[1] - elbows[0]
-    half = np.linalg.norm(apart) / 2
-    tip = middle + np.sqrt(0.3**2 - half**2) * np.array([-apart[1], apart[0]]) / (2 * half)
-    heights = [(motors[k, 1] + elbows[k, 1]) / 2 for k in (0, 1)] + [(elbows[k, 1] + tip[1]) / 2 for k in (0, 1)]
-    return np.array([*tip, 0.02]), sum(G * 0.2 * height for height in heights)
+    """The same of the five-bar of the examples put upright."""
+    tip, ends = by_hand(*q, 1), elbows(*q)
+    return np.array([*tip, 0.02]), G * 0.2 * sum(end[1] / 2 + (end[1] + tip[1]) / 2 for end in ends)
 
 
 def torques(at, q):

@@ -77,13 +77,12 @@ def test_a_split_is_in_file_order_and_repeatable():
     assert not set(held.names) & set(kept.names)
 
 
-@pytest.mark.parametrize(
-    ("fraction", "same", "left"), [(0.0, (), ""), (1.0, (), ""), (-0.5, (), ""), (0.01, (), ""), (0.99, (), ""),
-                                   (0.5, range(1, 10), "fit")]
-)  # fmt: skip
-def test_a_split_that_leaves_nothing_is_an_error(fraction, same, left):
-    with pytest.raises(calib.DataError, match=f"no pose is left to {left}"):
-        some(10, same).split(validation=fraction)
+@pytest.mark.parametrize("fraction", [0.0, 1.0, -0.5, 0.01, 0.99])
+def test_a_split_that_leaves_nothing_is_an_error(fraction):
+    with pytest.raises(calib.DataError, match="no pose is left to"):
+        some(10).split(validation=fraction)
+    with pytest.raises(calib.DataError, match="no pose is left to fit"):
+        some(10, same=range(1, 10)).split(validation=0.5)
 
 
 @pytest.mark.parametrize("seed", range(5))

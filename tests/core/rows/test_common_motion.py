@@ -6,16 +6,16 @@ import pytest
 import calib
 from calib.core.rows.common_motion import CommonMotion, UnknownPlaces
 from tests.programs.compensated_robots import described
-from tests.six_axis_arm import HEAD, write_six_axis
+from tests.six_axis_arm import write_six_axis
 
 ELSEWHERE = {"base.x": 2.1, "base.y": -0.3, "base.rz": 2.0, "base.rx": 0.1}
-ARM = (
-    f"{HEAD}base: {{frame: l0, pose: BASE}}"
-    + """
+ARM = """\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+base: {frame: l0, pose: BASE}
 targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: TOOL}}
 parametrisation: [{origin: all, components: [x, y, z], sigma: 1 mm}]
 """
-)
 HOLE = "{frame: l0, xyz: [0.5, 0, 0.3], position: P}"
 SOCKET = f"instruments: {{probe: {{kind: touch, target: ball, places: {{hole: {HOLE}}}}}}}\n"
 SIX = "instruments: {six: {kind: pose, target: ball}}\n"

@@ -13,7 +13,7 @@ from calib.core.rows.prediction import PositionUncertainty, order_of_joints, rec
 from calib.shared.candidates import rows_of_poses
 from tests.kind_checks import positions_by_joint
 from tests.project import write_table
-from tests.six_axis_arm import FREE, HEAD, joints, noisy, six_axis_arm, write_six_axis
+from tests.six_axis_arm import FREE, joints, noisy, six_axis_arm, write_six_axis
 
 SIGMA = 4e-5
 
@@ -55,9 +55,10 @@ def test_the_summary_names_mean_rms_largest_and_the_worst_pose(fit):
     assert summary["max"] == pytest.approx(distance.max())
 
 
-TWO_TARGETS = (
-    f"{HEAD}base: {{frame: l0, pose: POSE}}"
-    + """
+TWO_TARGETS = """\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+base: {frame: l0, pose: POSE}
 targets:
   body: {frame: l6, position: unknown}
   ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}
@@ -66,7 +67,6 @@ instruments: {OTHER, eye: {kind: pixel, target: body, camera: {frame: l0, PLACE}
               intrinsics: {fx: 2400, fy: 2410, cx: 1000, cy: 800}, points: {a: [0, 0, 0], b: [0, 50 mm, 0]}}}
 parametrisation:
 """
-)
 BALL = "ball: {kind: position}"
 KNOWN = "pose: known, xyz: [2, 0, 0]"
 
@@ -141,9 +141,10 @@ def test_other_combinations_do_not_depend_on_the_order_of_joints_and_the_signs_o
         np.testing.assert_array_equal(order_of_joints(other), [places[order], ways[order] * signs])
 
 
-WIRES = (
-    f"{HEAD}base: {{frame: l0}}"
-    + """
+WIRES = """\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+base: {frame: l0}
 targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: unknown, sigma: 2 mm}}
 instruments:
   one: {kind: distance, target: ball, end: {frame: l0, xyz: [-1.4, 0, 0.2], position: unknown}, sigma: 0.02 mm}
@@ -153,7 +154,6 @@ parametrisation:
   - {origin: all, components: [x, y, z], sigma: 1 mm}
   - {origin: all, components: [rx, ry, rz], sigma: 3 mrad}
 """
-)
 
 
 @pytest.mark.quick(0)

@@ -39,7 +39,7 @@ PALM = (("f", "fixed", "l3", "palm"), ("t", "fixed", "palm", "tcp"), ("c", "fixe
 WRIST = (beyond("j4", "revolute", "l3", "l4", 0.05), beyond("j5", "revolute", "l4", "l5", 0.2))
 TORSO = (beyond("lift", "prismatic", "base", "torso", 0.8), *rows_of(("left", "right"), "torso", 0.3))
 YAW = beyond("gripper_yaw", "revolute", "l3", "wrist", 0.05)
-OF_ARM = ("j1", "j2", "j3")
+OF_ARM, NINE = ("j1", "j2", "j3"), tuple(f"{side}{n}" for side in "abc" for n in range(3))
 CHAINS = {
     "fingers without telling names are left out": (
         (*ARM, *pair("l3")),
@@ -47,7 +47,7 @@ CHAINS = {
     ),
     "fingers with several joints each are left out": (
         (*ARM, *rows_of("abc", "l3", 0.05)),
-        {"target": "l3", "joints": OF_ARM, "others": ("a2_l", "b2_l", "c2_l")},
+        {"target": "l3", "joints": OF_ARM, "fingers": NINE, "others": ("a2_l", "b2_l", "c2_l")},
     ),
     "a frame beyond the palm is the end": ((*ARM, *PALM, *pair("palm")), {"target": "tcp"}),
     "two arms on a torso are no fingers": (

@@ -81,6 +81,7 @@ def test_scales_of_groups_are_where_the_restricted_likelihood_is_largest(seed, c
     model, sought = model_of(seed, **CASES[case]), np.array([True, case != "one is stated"])
     found = find_scales(model, np.ones(2), sought)
     np.testing.assert_allclose(found, optimum(model, np.ones(np.sum(sought)), sought), rtol=1e-3)
+    assert np.all(found[~sought] == 1.0)
 
 
 def test_the_start_does_not_matter():

@@ -205,19 +205,17 @@ def test_stating_a_small_noise_keeps_a_fit_of_real_measurements_converged(shared
     assert fit.convergence.step_left < 1e-3  # standard deviations; it stops at 1e-5 to 1e-8
 
 
-def test_places_are_taken_over_from_a_robot_that_moves_alike_and_from_no_other():
-    arm = calib.load(EXAMPLES / "arm.yaml")
-    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", arm)
-    placed = place(Problem.from_data(arm, data))
+def test_places_are_taken_over_from_a_robot_that_moves_alike_and_from_no_other(robot, data):
+    placed = place(Problem.from_data(robot, data))
     known = placed.robot, placed.residuals
-    with_gains = Problem.from_data(arm.with_terms(missing_terms(arm, parse_terms("gain"))), data)
+    with_gains = Problem.from_data(robot.with_terms(missing_terms(robot, parse_terms("gain"))), data)
     taken, found = reuse_placement(with_gains, *known), place(with_gains)
     assert taken is not None
     assert np.any(with_gains.unknowns.placement)
     np.testing.assert_allclose(taken.robot.values, found.robot.values, rtol=0.0, atol=1e-9)
-    moved = arm.with_parameters({arm.parameters[0].name: arm.values[0] + 1e-6})
+    moved = robot.with_parameters({robot.parameters[0].name: robot.values[0] + 1e-6})
     assert reuse_placement(Problem.from_data(moved, data), *known) is None  # a micrometre elsewhere
-    assert reuse_placement(Problem.from_data(arm, data.subset(np.arange(20))), *known) is None
+    assert reuse_placement(Problem.from_data(robot, data.subset(np.arange(20))), *known) is None
 
 
 def test_a_fit_keeps_no_derivative_but_that_of_its_rows(arm):

@@ -3,7 +3,6 @@ import pytest
 
 import calib
 from calib.core.numerics.losses import scale_of, weights
-from tests.project import EXAMPLES
 from tests.six_axis_arm import joints, measurements
 
 SIGMA = 4e-5
@@ -85,9 +84,8 @@ def test_exact_data_with_gross_errors_come_back_exactly(arm):
 
 
 @pytest.mark.parametrize(("how", "loss"), [({"loss": "cauchy"}, "cauchy"), ({"exclude_outliers": True}, "tukey")])
-def test_exact_readings_have_no_noise_to_weigh_by(how, loss):
+def test_exact_readings_have_no_noise_to_weigh_by(robot, how, loss):
     """Priors pull the fit by some hundredths of a micrometre: the readings are off by nothing else."""
-    robot = calib.load(EXAMPLES / "arm.yaml")
     off = 0.5 * robot.parameters.sigma_si * np.random.default_rng(0).standard_normal(len(robot.values))
     q = robot.sample(60, seed=1)
     exact = calib.as_measurements(robot, q, robot.with_parameters(robot.values + off).positions(q))

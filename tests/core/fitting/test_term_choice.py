@@ -129,8 +129,7 @@ def sure(fit):
     return {trial.term for trial in fit.terms.trials if trial.proven}
 
 
-def test_what_is_there_is_added_and_nothing_else():
-    robot = example_arm(None)
+def test_what_is_there_is_added_and_nothing_else(robot):
     true, data, _ = simulated(robot, ("gain", "backlash"), np.random.default_rng(5), n=40)
     fit = calib.fit(robot, data, terms="auto")
     assert sure(fit) == {"gain", "backlash"}
@@ -149,8 +148,7 @@ def test_what_is_there_is_added_and_nothing_else():
 
 
 @pytest.mark.quick(0)
-def test_which_joint_drives_which_is_found():
-    robot = example_arm(None)
+def test_which_joint_drives_which_is_found(robot):
     driven = robot.with_terms([CouplingSection(joint="joint_6", term="coupling", driven_by="joint_5", sigma=1e-3)])
     true = driven.with_parameters({"joint_6.by_joint_5": 4e-3})
     q = np.random.default_rng(17).uniform(-1.5, 1.5, (60, 6))
@@ -202,8 +200,7 @@ def test_compliance_in_data_of_other_code_is_found_and_not_held_back(tmp_path):
 
 
 @pytest.mark.quick(0)
-def test_without_stated_directions_backlash_is_reported_and_not_added():
-    robot = example_arm(None)
+def test_without_stated_directions_backlash_is_reported_and_not_added(robot):
     q = np.random.default_rng(9).uniform(-1.5, 1.5, (60, 6))
     data = calib.as_measurements(robot, q, np.zeros((60, 3)))
     playing = robot.with_terms(parse_terms("joint_2=backlash")).with_parameters({"joint_2.backlash": 4e-4})
@@ -261,8 +258,7 @@ def test_sizes_of_chosen_curves_are_drawn_no_second_time(monkeypatch):
         assert changes or np.all(others[:, k] == fitted[k])
 
 
-def test_boxes_are_neighbours_and_keep_repeats_together():
-    robot = example_arm(None)
+def test_boxes_are_neighbours_and_keep_repeats_together(robot):
     rng = np.random.default_rng(13)
     q = rng.uniform(-1, 1, (64, 6)) * [1.0, 3.0, 2.0, 0.1, 0.1, 0.1]
     names = [f"p{k}" for k in range(64)]
@@ -308,8 +304,7 @@ def test_beyond_the_range_measured_predictions_widen_and_the_verdict_says_so(cur
     assert "beyond_curves" not in [reason.code for reason in near.verdict.reasons]
 
 
-def test_poses_just_beyond_the_range_measured_are_no_reason_where_a_curve_is_still_sure():
-    robot = example_arm(None)
+def test_poses_just_beyond_the_range_measured_are_no_reason_where_a_curve_is_still_sure(robot):
     rng = np.random.default_rng(14)
     q, edge = rng.uniform(-1.0, 1.0, (60, 6)), rng.uniform(-1.0, 1.0, (5, 6))
     edge[:, 1] = 1.06
@@ -372,15 +367,13 @@ def test_bad_lists_are_named(curved, run_calib, terms, message):
     assert not (folder / "out").exists()
 
 
-def test_too_few_poses_for_blocks_are_refused():
-    robot = example_arm(None)
+def test_too_few_poses_for_blocks_are_refused(robot):
     _, data, _ = simulated(robot, (), np.random.default_rng(15), n=30)
     with pytest.raises(calib.DataError, match="at least 16 different poses"):
         calib.fit(robot, data.subset(np.arange(15)), terms="auto")
 
 
-def test_data_without_noise_ask_for_no_terms():
-    robot = example_arm(None)
+def test_data_without_noise_ask_for_no_terms(robot):
     q = np.random.default_rng(16).uniform(-1, 1, (40, 6))
     fit = calib.fit(robot, calib.as_measurements(robot, q, robot.positions(q)), terms="auto")
     assert sure(fit) == set()

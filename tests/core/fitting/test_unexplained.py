@@ -60,8 +60,7 @@ def simulated(robot, shape, rng, *, n=60, size=SIZE, again=1):
     return q[measured], read, q[n:], points[n:]
 
 
-def test_of_very_many_poses_only_those_that_sizes_are_found_from_are_observed(monkeypatch):
-    robot = example("arm")
+def test_of_very_many_poses_only_those_that_sizes_are_found_from_are_observed(robot, monkeypatch):
     fit = calib.fit(robot, calib.simulate(robot, robot.sample(700, seed=1), seed=2))
     model = KindModel(fit, ())
     observe = mock.Mock(wraps=calib.core.fitting.terms.kind_model.observe)
@@ -138,18 +137,16 @@ def test_a_robot_that_its_parameters_describe_is_hardly_less_certain(name):
     assert 0.9 < np.mean([part for _, part in results]) < 0.995
 
 
-def test_gross_errors_at_few_poses_are_no_errors_of_joints():
+def test_gross_errors_at_few_poses_are_no_errors_of_joints(robot):
     """They were 0.77 mrad; without gross errors 0.005 mrad is found on average."""
-    robot = example("arm")
     q, read, _, _ = simulated(robot, "none", np.random.default_rng(7))
     read[[11, 30, 52]] += 50 * NOISE * np.random.default_rng(8).standard_normal((3, 3))
     fit = calib.fit(robot, calib.as_measurements(robot, q, read), sigma=NOISE)
     assert fit.joint_error < 2.5e-5
 
 
-def test_what_is_added_is_the_lever_of_each_joint():
+def test_what_is_added_is_the_lever_of_each_joint(robot):
     """By the equation, with derivatives by differences, in the frame of the measurement and for turns too."""
-    robot = example("arm")
     fit, _ = fitted(robot, "rough", 3)
     q = fit.identification.data.joints[:4]
     predicted = fit.predict(q)
@@ -214,8 +211,7 @@ def test_what_rows_cannot_tell_from_noise_counts_as_errors_of_joints():
     assert found(1e4, stated=True) < 5e-5
 
 
-def test_a_result_keeps_it_and_every_text_counts_it(tmp_path, run_calib, with_pages):
-    robot = example("arm")
+def test_a_result_keeps_it_and_every_text_counts_it(robot, tmp_path, run_calib, with_pages):
     fit, _ = fitted(robot, "rough", 5)
     fit.save(tmp_path / "out")
     assert load_result(tmp_path / "out").uncertainty.joint_error == fit.joint_error

@@ -13,15 +13,14 @@ from calib.core.rows.prediction import PositionUncertainty, order_of_joints, rec
 from calib.shared.candidates import rows_of_poses
 from tests.kind_checks import positions_by_joint
 from tests.project import write_table
-from tests.six_axis_arm import FREE, joints, noisy, six_axis_arm, write_six_axis
+from tests.six_axis_arm import FREE, joints, noisy, write_six_axis
 
 SIGMA = 4e-5
 
 
 @pytest.fixture(scope="module")
-def fit(tmp_path_factory):
-    robot = six_axis_arm(tmp_path_factory.mktemp("arm"))
-    return calib.fit(robot, noisy(robot, joints(60), SIGMA, seed=1))
+def fit(arm):
+    return calib.fit(arm, noisy(arm, joints(60), SIGMA, seed=1))
 
 
 @pytest.mark.quick(0)
@@ -194,15 +193,13 @@ def test_a_point_at_a_known_place_makes_the_measurement_frame_count(tmp_path):
 
 
 @pytest.mark.parametrize(("reach", "further"), [(1.0, False), (0.3, True)])
-def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, reach, further):
+def test_predict_says_what_the_fit_claims_at_these_poses(arm, tmp_path, run_calib, reach, further):
     """Measured in all of the space, or in a part of it, where errors of parameters do less than elsewhere."""
-    robot = six_axis_arm(tmp_path)
-    fit = calib.fit(robot, noisy(robot, reach * joints(60), 4e-5, 1))
+    fit = calib.fit(arm, noisy(arm, reach * joints(60), 4e-5, 1))
     fit.save(tmp_path / "out", pages=False)
     q = joints(20, 7)
     write_table(tmp_path / "q.csv", "j1,j2,j3,j4,j5,j6", q)
-    run = run_calib("predict", tmp_path / "arm.yaml", tmp_path / "q.csv", "--result", tmp_path / "out", "--out",
-                    tmp_path / "p.csv")  # fmt: skip
+    run = run_calib("predict", arm.path, "q.csv", "--result", "out", "--out", "p.csv", cwd=tmp_path)
     claim = fit.verdict.claim
     told, there = claim.at_measured_poses, np.mean(fit.predict(q).distance ** 2)
     grown = np.sqrt(1 + max(there - claim.rms**2, 0.0) / told.rms**2)
@@ -217,16 +214,16 @@ def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, re
 
 @pytest.mark.quick(0)
 @pytest.mark.amount(1, 6)
-def test_what_is_expected_at_further_poses_like_those_measured_is_what_is_claimed(tmp_path, amount):
+def test_what_is_expected_at_further_poses_like_those_measured_is_what_is_claimed(arm, amount):
     """Simulated, a curve of each joint from few poses: positions of poses that were used are known far better."""
-    robot = six_axis_arm(tmp_path).with_terms(parse_terms("curve"))
+    robot = arm.with_terms(parse_terms("curve"))
     expected = [_errors_of_a_fit(robot, 1.0, 45, seed)[0] for seed in range(amount)]
     assert np.sqrt(np.mean(np.square(expected))) == pytest.approx(1.0, abs=0.37 / np.sqrt(amount))
 
 
-def test_what_is_expected_beyond_the_poses_measured_is_nearer_the_truth(tmp_path):
+def test_what_is_expected_beyond_the_poses_measured_is_nearer_the_truth(arm):
     """Simulated: measured in a part of the joints' range, and asked for in all of it."""
-    ratios = [_errors_of_a_fit(six_axis_arm(tmp_path), 0.3, 60, seed) for seed in range(5)]
+    ratios = [_errors_of_a_fit(arm, 0.3, 60, seed) for seed in range(5)]
     expected, claimed = np.sqrt(np.mean(np.square(ratios), axis=0))
     assert claimed > 1.5
     assert 0.75 < expected < 1.33

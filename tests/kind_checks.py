@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import binom
 
 from calib.core.instruments.position import Position
 from calib.core.robots.jacobian import linearise
@@ -66,13 +65,17 @@ def chain_error(robot, q, readings):
     return worst
 
 
-def assert_terms_move_positions_as_differences_say(robot, q, context=None):
-    """Derivatives of positions by coefficients of joint terms, to a millionth of the largest; returns the Jacobian."""
+def assert_positions_move_as_differences_say(robot, q, context=None, steps=None):
+    """Derivatives of positions, to a millionth of the largest, by coefficients of joint terms or by all parameters.
+
+    By all with the steps that are given; returns the Jacobian.
+    """
     jacobian = linearise(robot, robot.assemble(q, context=context)).jacobian
-    for k in range(*robot.coefficients.indices(len(robot.values))):
-        change = 1e-5 * (np.arange(len(robot.values)) == k)
+    steps = 1e-5 * (np.arange(len(robot.values)) >= robot.coefficients.start) if steps is None else np.array(steps)
+    for k in np.flatnonzero(steps):
+        change = steps * (np.arange(len(robot.values)) == k)
         more, less = (robot.with_parameters(robot.values + s * change).positions(q, context) for s in (1, -1))
-        difference = (more - less) / 2e-5
+        difference = (more - less) / (2 * steps[k])
         within = 1e-6 * np.abs(difference).max() + 1e-9  # differences lose digits in entries that are small
         assert np.allclose(jacobian[..., k], difference, rtol=0, atol=within), robot.parameters[k].name
     return jacobian
@@ -99,23 +102,6 @@ def assert_found(robot, truth, within):
     """A robot has these values by name."""
     values = dict(zip((p.name for p in robot.parameters), robot.values, strict=True))
     assert {name: values[name] for name in truth} == pytest.approx(truth, rel=0, abs=within)
-
-
-def coverage(n, true, fitted):
-    """Part of n fits, `fitted(seed)`, whose 95 % interval holds the truth, of each free parameter of the true ones."""
-    hits = []
-    for seed in range(n):
-        fit = fitted(seed)
-        chosen = [k for k, name in enumerate(fit.free_names) if name in true]
-        missed = fit.robot.values[fit.unknowns.index[chosen]] - [true[fit.free_names[k]] for k in chosen]
-        hits.append(np.abs(missed) <= fit.statistics.half_width[chosen])
-    return np.mean(hits, axis=0)
-
-
-def assert_covered(covered, n):
-    """Each is what chance makes of 95 %, of n fits, and so is their mean."""
-    assert np.all(n * covered >= binom.ppf(1e-4 / len(covered), n, 0.95))
-    assert 0.9 < np.mean(covered) < 0.99
 
 
 def positions_by_joint(robot, q):

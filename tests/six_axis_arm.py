@@ -34,15 +34,20 @@ FREE = """\
 HELD = ("j2.ry", "j4.y", "j1.rz", "j3.ry", "j3.y", "j6.y", "j5.rx", "j5.x", "j2.z", "j5.ry")
 """Ten components that depend on the other 26, for positions of one ball."""
 
-YAML = """\
-urdf: arm.urdf
-name_mot: [j1, j2, j3, j4, j5, j6]
-base: {frame: l0}
+HEAD = "urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\n"
+YAML = f"""\
+{HEAD}base: {{frame: l0}}
 targets:
-  ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}
+  ball: {{frame: l6, xyz: [50 mm, 20 mm, 100 mm]}}
 parametrisation:
 """
 NO_PRIORS = f"priors: false\nheld: [{', '.join(HELD)}]\n"
+
+
+def free(*names: str) -> str:
+    """Entries of a parametrisation with these components, lengths to 2 mm and angles to 5 mrad."""
+    entry = "  - {{origin: {}, components: [{}], sigma: {}}}\n"
+    return "".join(entry.format(*name.split("."), "5 mrad" if ".r" in name else "2 mm") for name in names)
 
 
 def write_six_axis(folder: Path, yaml: str = NO_PRIORS + YAML + FREE) -> Path:

@@ -85,10 +85,7 @@ def write_arm(folder: Path, yaml: str = ARM_YAML, urdf: str = ARM_URDF) -> Path:
 def write_parallelogram(folder: Path, yaml: str = PARALLELOGRAM_YAML, *, turning_end: bool = False) -> Path:
     """Write a parallelogram with sides of 1 m and 0.5 m: b = -a, c = a, its pin at (0.5 cos a + 0.5, 0.5 sin a).
 
-    Args:
-        folder: Where to write it.
-        yaml: Its description.
-        turning_end: Whether joint d turns; for a loop of whole frames, d = a.
+    For a loop of whole frames, its joint d turns: d = a.
     """
     urdf = PARALLELOGRAM_URDF.replace("D_TYPE", "continuous" if turning_end else "fixed")
     (folder / "parallelogram.urdf").write_text(urdf)
@@ -106,7 +103,6 @@ def write_pose_loop(folder):
 
     Returns the robot description's path.
     """
-    names = ("ground", "left", "left_end", "right", "right_end", "tip_left", "tip_right")
 
     def joint(name, parent, child, xyz, kind="revolute"):
         return (
@@ -115,49 +111,34 @@ def write_pose_loop(folder):
             '<limit lower="-7" upper="7" effort="1" velocity="1"/></joint>'
         )
 
-    text = (
+    links = ("ground", "left", "left_end", "right", "right_end", "tip_left", "tip_right")
+    (folder / "pose_loop.urdf").write_text(
         "<robot name='pose_loop'>"
-        + "".join(f'<link name="{name}"/>' for name in names)
-        + "".join(
-            [
-                joint("motor_left", "ground", "left", "-0.1 0 0"),
-                joint("motor_right", "ground", "right", "0.1 0 0"),
-                joint("elbow_left", "left", "left_end", "0.3 0 0"),
-                joint("elbow_right", "right", "right_end", "0.3 0 0"),
-                joint("tip_left_origin", "left_end", "tip_left", "0.4 0 0", "fixed"),
-                joint("tip_right_turn", "right_end", "tip_right", "0.4 0 0"),
-            ]
-        )
+        + "".join(f'<link name="{name}"/>' for name in links)
+        + joint("motor_left", "ground", "left", "-0.1 0 0")
+        + joint("motor_right", "ground", "right", "0.1 0 0")
+        + joint("elbow_left", "left", "left_end", "0.3 0 0")
+        + joint("elbow_right", "right", "right_end", "0.3 0 0")
+        + joint("tip_left_origin", "left_end", "tip_left", "0.4 0 0", "fixed")
+        + joint("tip_right_turn", "right_end", "tip_right", "0.4 0 0")
         + "</robot>"
     )
-    (folder / "pose_loop.urdf").write_text(text)
-    yaml = (
+    # the assembled home from the planar geometry; the tilts of the origins open it by less than the 1 mm allowed
+    a, b = 2.0 + 0.03, 1.1 + 0.03
+    left, right = -0.1 + 0.3 * np.exp(1j * a), 0.1 + 0.3 * np.exp(1j * b)
+    size = abs(right - left)
+    tip = (left + right) / 2 + 1j * (right - left) / size * np.sqrt(0.16 - size**2 / 4)
+    angles = np.angle(tip - left), np.angle(tip - right)
+    home = {"elbow_left": angles[0] - a - 0.03, "elbow_right": angles[1] - b - 0.03}
+    home["tip_right_turn"] = angles[0] - angles[1]
+    (folder / "pose_loop.yaml").write_text(
         "urdf: pose_loop.urdf\nname_mot: [motor_left, motor_right]\nclosed_loop: [[tip_left, tip_right]]\ntype: [6d]\n"
         "closed_loop_axes: [[x, y, rz]]\nbase: {frame: ground}\n"
         "targets: {tip: {frame: tip_left, xyz: [0.05, 0.02, 0.1]}}\n"
         "parametrisation: [{origin: all, components: [x, y, z], sigma: 1 mm},"
         " {origin: all, components: [rx, ry, rz], sigma: 1 mrad}]\n"
-        "home: {motor_left: 2.0, motor_right: 1.1, elbow_left: LEFT, elbow_right: RIGHT, tip_right_turn: TURN}\n"
+        f"home: {{motor_left: 2.0, motor_right: 1.1{''.join(f', {name}: {float(x)!r}' for name, x in home.items())}}}\n"
     )
-    # the assembled home from the planar geometry; the tilts of the origins open it by less than the 1 mm allowed
-    a, b = 2.0 + 0.03, 1.1 + 0.03
-    left, right = (
-        np.array([-0.1 + 0.3 * np.cos(a), 0.3 * np.sin(a)]),
-        np.array([0.1 + 0.3 * np.cos(b), 0.3 * np.sin(b)]),
-    )
-    across = right - left
-    tip = (left + right) / 2 + np.sqrt(0.16 - across @ across / 4) * np.array([-across[1], across[0]]) / np.linalg.norm(
-        across
-    )
-    angles = [np.arctan2(*(tip - end)[::-1]) for end in (left, right)]
-    values = {
-        "LEFT": angles[0] - a - 0.03,
-        "RIGHT": angles[1] - b - 0.03,
-        "TURN": (angles[0] + 0.03) - (angles[1] + 0.03),
-    }
-    for key, value in values.items():
-        yaml = yaml.replace(key, repr(float(value)))
-    (folder / "pose_loop.yaml").write_text(yaml)
     return folder / "pose_loop.yaml"
 
 

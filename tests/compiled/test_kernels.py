@@ -79,9 +79,8 @@ def test_closed_loops_are_those_of_the_reference(case):
             assembled = moved.assemble(q, start)
         # loops are closed to 1e-12 m, and far from singular poses passive joints as well as that
         assert np.allclose(assembled.passive, expected.passive, rtol=0, atol=20 * SAME)
-        assert (
-            (assembled.slope is None) == (expected.slope is None) == (start is not None and bool(robot.passive_names))
-        )
+        no_slope = start is not None and bool(robot.passive_names)
+        assert (assembled.slope is None) == (expected.slope is None) == no_slope
         if start is None:
             assert np.allclose(assembled.slope, expected.slope, rtol=0, atol=20 * SAME)
     where = moved.mechanism, robot.mode, expected.actuated, expected.passive

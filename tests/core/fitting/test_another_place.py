@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib
 from tests.project import write_table
@@ -41,11 +42,9 @@ def written(path, measured, places):
 
 
 def laid_through(predicted, points):
-    """Root mean square distance of points from predicted ones that are moved onto them as one body (Kabsch)."""
-    a, b = predicted - predicted.mean(axis=0), points - points.mean(axis=0)
-    left, _, right = np.linalg.svd(a.T @ b)
-    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
-    return np.sqrt(np.mean(np.sum((a @ turn - b) ** 2, axis=1)))
+    """Root mean square distance of points from predicted ones that are moved onto them as one body."""
+    _, distance = Rotation.align_vectors(points - points.mean(axis=0), predicted - predicted.mean(axis=0))
+    return distance / np.sqrt(len(points))
 
 
 def others(left_out):
@@ -66,9 +65,8 @@ def test_each_setup_is_predicted_by_a_fit_of_the_others_and_placed_anew(tmp_path
     np.testing.assert_allclose(fit.folds.rms, expected, rtol=1e-4)
     assert np.all(np.array(expected) > 2 * SIGMA)
     figures = ", ".join(f"{name} {1e3 * rms:.4f}" for name, rms in zip(PLACES, fit.folds.rms, strict=True))
-    assert f"Setups left out in turn, each placed anew: RMS of {figures} mm" in " ".join(
-        fit.report(verbose=True).split()
-    )
+    said = f"Setups left out in turn, each placed anew: RMS of {figures} mm"
+    assert said in " ".join(fit.report(verbose=True).split())
     assert fit.folds.setups == (0, 1, 2)
 
 
@@ -84,11 +82,11 @@ def test_validation_in_a_setup_that_the_data_do_not_have_is_placed_by_itself(tmp
     origin = "base" if later == "left" else f"base@{later}"
     assert fit.placed_later == tuple(f"{origin}.{component}" for component in ("x", "y", "z", "rx", "ry", "rz"))
     q, points = measured[later]
-    rms = np.sqrt(np.mean(np.sum(fit.validation.errors("after") ** 2, axis=1)))
-    assert rms == pytest.approx(laid_through(fit.robot.positions(q)[:, 0], points), rel=1e-4)
-    before = np.sqrt(np.mean(np.sum(fit.validation.errors("before") ** 2, axis=1)))
-    assert before == pytest.approx(laid_through(robot.positions(q)[:, 0], points), rel=1e-4)
-    assert before > 3 * rms
+    rms = {}
+    for state, placed in (("after", fit.robot), ("before", robot)):
+        rms[state] = np.sqrt(np.mean(np.sum(fit.validation.errors(state) ** 2, axis=1)))
+        assert rms[state] == pytest.approx(laid_through(placed.positions(q)[:, 0], points), rel=1e-4)
+    assert rms["before"] > 3 * rms["after"]
     # the arm's base as the tracker reads it, from where the tracker stands on the arm
     where = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
     distance = np.linalg.norm([where[f"{origin}.{axis}"] for axis in "xyz"])
@@ -118,8 +116,7 @@ def test_folds_that_are_neither_a_number_nor_setups_are_errors(tmp_path, measure
 def test_the_command_leaves_setups_out(tmp_path, measured, run_calib):
     moving(tmp_path, PLACES)
     path = written(tmp_path / "all.csv", measured, PLACES)
-    run = run_calib("fit", tmp_path / "arm.yaml", path, "--folds", "setups", "--no-pages", "--verbose",
-                    "--out", tmp_path / "out")  # fmt: skip
+    run = run_calib("fit", tmp_path / "arm.yaml", path, "--folds", "setups", "--verbose", "--out", tmp_path / "out")
     assert run.code == 0, run.err
     assert "Setups left out in turn, each placed anew: RMS of left" in " ".join(run.out.split())
     assert '"setups": [\n' in (tmp_path / "out" / "result.json").read_text()

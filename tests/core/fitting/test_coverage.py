@@ -26,21 +26,13 @@ GROSS = 50 * SIGMA
 
 @dataclass(frozen=True)
 class Coverage:
-    """What many calibrations of one robot found.
+    """What many calibrations of one robot found."""
 
-    Attributes:
-        parameters: Part of the fits whose 95 % interval holds the truth, of each free parameter.
-        positions: The same of each coordinate of predicted positions at poses that were not measured.
-        sigma: Mean of the found noise over the true one.
-        squared: Mean of its square over that of the true one.
-        outliers: Part of the fits that name an outlier.
-    """
-
-    parameters: np.ndarray
-    positions: np.ndarray
-    sigma: float
-    squared: float
-    outliers: float
+    parameters: np.ndarray  # part of the fits whose 95 % interval holds the truth, of each free parameter
+    positions: np.ndarray  # the same of each coordinate of predicted positions at poses that were not measured
+    sigma: float  # mean of the found noise over the true one
+    squared: float  # mean of its square over that of the true one
+    outliers: float  # part of the fits that name an outlier
 
     def __str__(self):
         low, high = 100 * min(self.parameters), 100 * max(self.parameters)
@@ -60,22 +52,14 @@ def with_gross_errors(part, exact, rng):
     return replace(exact, readings={name: replace(readings, values=readings.values + noise)})
 
 
-def coverage(robot, q, elsewhere, n, *, loss="none", gross=0.0, prior=False, seed=1):
-    """Calibrate n times.
+def coverage(robot, q, elsewhere, n, *, loss="none", gross=0.0, prior=False):
+    """Calibrate the nominal robot n times by poses q, and predict poses elsewhere.
 
-    Args:
-        robot: The nominal robot, which is also the true one.
-        q: Poses to measure.
-        elsewhere: Poses to predict.
-        n: How many times.
-        loss: Robust loss.
-        gross: Part of the poses with a gross error.
-        prior: Draw the truth from the priors each time.
-        seed: Of the noise.
+    The truth is nominal, or drawn from the priors each time; a part of the poses has gross errors.
     """
     how = {"sigma": SIGMA, "truth": "priors"} if prior else {}
     noise = partial(with_gross_errors, gross)
-    studied = calib.study(robot, q, draws=n, noise=noise, loss=loss, elsewhere=elsewhere, seed=seed, **how)
+    studied = calib.study(robot, q, draws=n, noise=noise, loss=loss, elsewhere=elsewhere, seed=1, **how)
     assert not studied.failures
     sigma = studied.draws.sigma[:, 0] / SIGMA
     return Coverage(

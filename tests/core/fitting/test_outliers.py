@@ -12,7 +12,7 @@ from calib.core.instruments.kind import Readings
 from calib.core.numerics.losses import studentised
 from tests.core.instruments import test_kind_pixel as pixel
 from tests.six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, write_six_axis
-from tests.small_robots import write_arm
+from tests.small_robots import ARM_YAML, write_arm
 from viz.reading_errors import reading_errors_of_fit
 
 SIGMA = 4e-5
@@ -103,6 +103,7 @@ def test_gross_errors_are_named_with_row_and_pose(arm, size):
     assert fit.outliers[0].label in ("row 12", "row 55")
     assert fit.outliers[0].target == "ball"
     assert "times the error expected there" in str(fit.outliers[0])
+    assert (len(fit.identification.data), fit.excluded) == (80, ())  # nobody asked to leave them out
 
 
 def test_excluded_outliers_are_told_and_both_results_kept(arm):
@@ -115,18 +116,8 @@ def test_excluded_outliers_are_told_and_both_results_kept(arm):
     assert fit.sigma < 0.5 * fit.with_all.sigma
     alone = calib.fit(arm, data.subset(np.setdiff1d(np.arange(80), [3, 40, 60, 79])))
     np.testing.assert_array_equal(fit.robot.values, alone.robot.values)
-
-
-def test_outliers_stay_unless_excluding_is_asked_for(arm):
-    fit = calib.fit(arm, with_errors(arm, [3], [1e-3, 0, 0]))
-    assert len(fit.identification.data) == 80
-    assert fit.excluded == ()
-
-
-def test_nothing_to_exclude_gives_the_plain_fit(arm):
-    fit = calib.fit(arm, with_errors(arm, [], 0.0), exclude_outliers=True)
-    assert fit.excluded == ()
-    assert fit.with_all is None
+    nothing_to_exclude = calib.fit(arm, with_errors(arm, [], 0.0), exclude_outliers=True)
+    assert (nothing_to_exclude.excluded, nothing_to_exclude.with_all) == ((), None)
 
 
 def test_a_point_that_decides_its_own_prediction_is_no_outlier():
@@ -150,17 +141,12 @@ def test_a_bad_validation_pose_is_named(arm):
 
 
 def test_a_target_of_several_is_named(tmp_path):
-    yaml = """\
-urdf: arm.urdf
-name_mot: [turn, slide, wrist]
-base: {frame: ground}
-targets:
-  tip: {frame: tool, xyz: [10 mm, 20 mm, 30 mm]}
+    yaml = ARM_YAML.partition("parametrisation:")[0] + """\
   side: {frame: hand, xyz: [0, 50 mm, 0]}
 parametrisation:
   - {origin: turn, components: [x, y, z], sigma: 2 mm}
   - {origin: flange, components: [x, y], sigma: 2 mm}
-"""
+"""  # fmt: skip
     robot = calib.load(write_arm(tmp_path, yaml))
     q = np.random.default_rng(0).uniform([-2, 0, -2], [2, 1, 2], (30, 3))
     positions = robot.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((30, 2, 3))
@@ -181,9 +167,8 @@ def photographed(tmp_path_factory):
     """An arm and photographs of it, 0.3 px of noise: three corners off by 6 px, and one photograph of another pose."""
     arm = calib.load(write_six_axis(tmp_path_factory.mktemp("photographs"), pixel.YAML))
     q, (camera, body) = joints(30, 5), pixel.places(4)
-    data = pixel.data_of(
-        arm, q, pixel.photographs(arm.with_parameters(pixel.TRUTH), q, camera, body), sigma=0.3, seed=1
-    )
+    seen = pixel.photographs(arm.with_parameters(pixel.TRUTH), q, camera, body)
+    data = pixel.data_of(arm, q, seen, sigma=0.3, seed=1)
     readings = data.readings["eye"]
     values, whole = readings.values.copy(), np.flatnonzero(readings.visits == 7)
     values[[20, 80, 120]] += [[6.0, 0.0], [0.0, -6.0], [-4.0, 4.0]]
@@ -201,9 +186,8 @@ def test_a_corner_goes_by_itself_and_an_image_that_is_off_as_a_whole(photographe
     alone = {outlier.reading for outlier in fit.excluded if not outlier.n_together}
     assert alone >= set(off["corners"])
     assert len(alone) <= 5  # chance may name others
-    assert {(outlier.pose, outlier.n_together) for outlier in fit.excluded if outlier.n_together} == {
-        (7, len(off["image"]))
-    }
+    together = {(outlier.pose, outlier.n_together) for outlier in fit.excluded if outlier.n_together}
+    assert together == {(7, len(off["image"]))}
     kept = np.setdiff1d(np.arange(data.n_readings), [*alone, *off["image"]])
     again = calib.fit(arm, data.with_readings({"eye": kept}))
     np.testing.assert_array_equal(fit.robot.values, again.robot.values)

@@ -34,9 +34,8 @@ def robot(request, tmp_path):
     places = {"target": "gripper_frame_link", "xyz": [0, 0, 0], "camera": "base_link"}
     places |= {"from": [1.0, 0.0, 0.2], "rpy": ["-90 deg", 0, "90 deg"]}
     if request.param == "on the gripper":
-        plain = calib.load(URDF)
-        ahead = plain.forward(np.zeros(5), "gripper_frame_link") @ [0.0, 0.0, 0.6, 1.0]
-        places = {"target": "base_link", "xyz": [round(float(x), 4) for x in ahead[:3]]}
+        ahead = calib.load(URDF).forward(np.zeros(5), "gripper_frame_link") @ [0.0, 0.0, 0.6, 1.0]
+        places = {"target": "base_link", "xyz": ahead[:3].round(4).tolist()}
         places |= {"camera": "gripper_frame_link", "from": [0, 0, 0], "rpy": [0, 0, 0]}
     (tmp_path / "arm.yaml").write_text(DESCRIPTION.format(urdf=URDF, joints=", ".join(JOINTS), **places))
     return calib.load(tmp_path / "arm.yaml")

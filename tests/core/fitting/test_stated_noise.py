@@ -5,17 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import calib
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.solving import place, release_contradicted_noise, scales_found
-from tests.project import EXAMPLES
 
 
 @pytest.mark.parametrize("stated", [1e-5, 2.3e-5, 2.5e-5, 2.7e-5, 2.9e-5, 3e-5, 3.3e-5, 1e-3])
 @pytest.mark.parametrize("poses", [slice(None), slice(0, 16)], ids=["80 poses", "16 poses"])
-def test_noise_is_contradicted_where_its_likeliest_scale_is_beyond_chance(stated, poses):
-    robot = calib.load(EXAMPLES / "arm.yaml")
-    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+def test_noise_is_contradicted_where_its_likeliest_scale_is_beyond_chance(robot, data, stated, poses):
     problem = Problem.from_data(robot, data.subset(np.arange(len(data))[poses]), stated)
     start, groups = place(problem), np.ones(1)
     released, scales = release_contradicted_noise(problem, start, groups)

@@ -129,8 +129,7 @@ def sure(fit):
     return {trial.term for trial in fit.terms.trials if trial.proven}
 
 
-def test_what_is_there_is_added_and_nothing_else():
-    robot = example_arm(None)
+def test_what_is_there_is_added_and_nothing_else(robot):
     true, data, _ = simulated(robot, ("gain", "backlash"), np.random.default_rng(5), n=40)
     fit = calib.fit(robot, data, terms="auto")
     assert sure(fit) == {"gain", "backlash"}
@@ -149,8 +148,7 @@ def test_what_is_there_is_added_and_nothing_else():
 
 
 @pytest.mark.quick(0)
-def test_which_joint_drives_which_is_found():
-    robot = example_arm(None)
+def test_which_joint_drives_which_is_found(robot):
     driven = robot.with_terms([CouplingSection(joint="joint_6", term="coupling", driven_by="joint_5", sigma=1e-3)])
     true = driven.with_parameters({"joint_6.by_joint_5": 4e-3})
     q = np.random.default_rng(17).uniform(-1.5, 1.5, (60, 6))
@@ -202,8 +200,7 @@ def test_compliance_in_data_of_other_code_is_found_and_not_held_back(tmp_path):
 
 
 @pytest.mark.quick(0)
-def test_without_stated_directions_backlash_is_reported_and_not_added():
-    robot = example_arm(None)
+def test_without_stated_directions_backlash_is_reported_and_not_added(robot):
     q = np.random.default_rng(9).uniform(-1.5, 1.5, (60, 6))
     data = calib.as_measurements(robot, q, np.zeros((60, 3)))
     playing = robot.with_terms(parse_terms("joint_2=backlash")).with_parameters({"joint_2.backlash": 4e-4})
@@ -219,14 +216,13 @@ def test_without_stated_directions_backlash_is_reported_and_not_added():
 def test_candidates_say_why_they_cannot_be_tried():
     robot = calib.load(EXAMPLES / "five_bar.yaml")  # lies flat on a table
     q = robot.home + np.random.default_rng(11).uniform(-0.3, 0.3, (20, 2))
-    refused = {
-        term.term: term.refusal for term in candidates(robot, calib.as_measurements(robot, q, np.zeros((20, 3))))
-    }
+    data = calib.as_measurements(robot, q, np.zeros((20, 3)))
+    refused = {term.term: term.refusal for term in candidates(robot, data)}
     assert refused["gain"] == refused["coupling"] == ""
     assert "drift" not in refused  # it changes from day to day, and must be named
     assert refused["compliance"] == "gravity loads no joint differently from pose to pose"
     described = robot.with_terms(parse_terms("gain,left_motor=curve"))
-    by_name = {term.term: term for term in candidates(described, calib.as_measurements(robot, q, np.zeros((20, 3))))}
+    by_name = {term.term: term for term in candidates(described, data)}
     assert by_name["gain"].refusal == "the description has it already"
     assert [section.joint for section in by_name["curve"].sections] == ["right_motor"]
 
@@ -262,8 +258,7 @@ def test_sizes_of_chosen_curves_are_drawn_no_second_time(monkeypatch):
         assert changes or np.all(others[:, k] == fitted[k])
 
 
-def test_boxes_are_neighbours_and_keep_repeats_together():
-    robot = example_arm(None)
+def test_boxes_are_neighbours_and_keep_repeats_together(robot):
     rng = np.random.default_rng(13)
     q = rng.uniform(-1, 1, (64, 6)) * [1.0, 3.0, 2.0, 0.1, 0.1, 0.1]
     names = [f"p{k}" for k in range(64)]
@@ -272,13 +267,12 @@ def test_boxes_are_neighbours_and_keep_repeats_together():
     assert sorted(np.concatenate(parts).tolist()) == list(range(128))
     assert all({k % 64 for k in part} == {k % 64 for k in part if k < 64} for part in parts)
     assert [len(part) for part in parts] == [16] * 8
-    alone = calib.as_measurements(robot, q, np.zeros((64, 3)))
-    widths = [
-        np.ptp(q[part], axis=0) / np.ptp(q, axis=0)
-        for part in boxes(alone.joints, alone.pose_numbers, 8, robot.mechanism.depths)
-    ]
-    in_order = [np.ptp(part, axis=0) / np.ptp(q, axis=0) for part in np.split(q, 8)]
-    assert np.mean(widths) < 0.8 * np.mean(in_order)
+    alone = boxes(q, np.arange(64), 8, robot.mechanism.depths)
+    widths, in_order = (
+        np.mean([np.ptp(part, axis=0) / np.ptp(q, axis=0) for part in cut])
+        for cut in ([q[k] for k in alone], np.split(q, 8))
+    )
+    assert widths < 0.8 * in_order
 
 
 @pytest.fixture
@@ -287,9 +281,7 @@ def curved(tmp_path):
     robot = example_arm(None)
     rng = np.random.default_rng(14)
     q = rng.uniform(-1.0, 1.0, (100, 6))
-    gear = q.copy()
-    gear[:, 1] += 4e-4 * np.sin(11 * q[:, 1])
-    points = robot.positions(gear)[:, 0] + NOISE * rng.standard_normal((100, 3))
+    points = robot.positions(_geared(q, 11))[:, 0] + NOISE * rng.standard_normal((100, 3))
     header = [*(f"{name} [rad]" for name in robot.joint_names), *(f"reflector_{a} [m]" for a in "xyz")]
     write_table(tmp_path / "data.csv", header, q, points)
     far = q[:5].copy()
@@ -312,34 +304,31 @@ def test_beyond_the_range_measured_predictions_widen_and_the_verdict_says_so(cur
     assert "beyond_curves" not in [reason.code for reason in near.verdict.reasons]
 
 
-def test_poses_just_beyond_the_range_measured_are_no_reason_where_a_curve_is_still_sure():
-    robot = example_arm(None)
+def test_poses_just_beyond_the_range_measured_are_no_reason_where_a_curve_is_still_sure(robot):
     rng = np.random.default_rng(14)
     q, edge = rng.uniform(-1.0, 1.0, (60, 6)), rng.uniform(-1.0, 1.0, (5, 6))
     edge[:, 1] = 1.06
     used, other = (
-        calib.as_measurements(
-            robot, joints, robot.positions(_geared(joints))[:, 0] + NOISE * rng.standard_normal((len(joints), 3))
-        )
-        for joints in (q, edge)
+        calib.as_measurements(robot, joints, robot.positions(off) + NOISE * rng.standard_normal((len(joints), 1, 3)))
+        for joints, off in ((q, _geared(q, 1)), (edge, _geared(edge, 1)))
     )
     fit = calib.fit(robot, used, validation=other, terms="joint_2=curve")
     assert np.all(is_beyond_learned(fit.robot, q, edge)[:, 1])
     assert "beyond_curves" not in fit.verdict.to_dict()["codes"], fit.verdict
 
 
-def _geared(q):
-    """What joints stand at whose second one is off by a slow wave."""
+def _geared(q, waves):
+    """What joints stand at whose second one is off by waves, so many in a radian."""
     off = q.copy()
-    off[:, 1] += 4e-4 * np.sin(q[:, 1])
+    off[:, 1] += 4e-4 * np.sin(waves * q[:, 1])
     return off
 
 
 def test_a_result_with_terms_is_read_back_by_other_commands(curved, run_calib):
     robot, folder = curved
     arm = EXAMPLES / "arm.yaml"
-    run = run_calib("fit", arm, folder / "data.csv", "--terms", "joint_2=curve", "--force", "--verbose",
-                    "--out", folder / "out")  # fmt: skip
+    options = ("--terms", "joint_2=curve", "--force", "--verbose", "--out", folder / "out")
+    run = run_calib("fit", arm, folder / "data.csv", *options)
     assert run.code == 0, run.err
     assert "Joint terms requested: joint_2=curve" in run.out
     run = run_calib("predict", arm, folder / "far.csv", "--result", folder / "out", "--out", folder / "predicted.csv")
@@ -378,15 +367,13 @@ def test_bad_lists_are_named(curved, run_calib, terms, message):
     assert not (folder / "out").exists()
 
 
-def test_too_few_poses_for_blocks_are_refused():
-    robot = example_arm(None)
+def test_too_few_poses_for_blocks_are_refused(robot):
     _, data, _ = simulated(robot, (), np.random.default_rng(15), n=30)
     with pytest.raises(calib.DataError, match="at least 16 different poses"):
         calib.fit(robot, data.subset(np.arange(15)), terms="auto")
 
 
-def test_data_without_noise_ask_for_no_terms():
-    robot = example_arm(None)
+def test_data_without_noise_ask_for_no_terms(robot):
     q = np.random.default_rng(16).uniform(-1, 1, (40, 6))
     fit = calib.fit(robot, calib.as_measurements(robot, q, robot.positions(q)), terms="auto")
     assert sure(fit) == set()
@@ -430,10 +417,8 @@ if __name__ == "__main__":
 @pytest.mark.quick(0)
 def test_coefficients_that_explain_every_reading_are_no_evidence():
     """Of 90 coordinates, harmonics and couplings beside the origins leave nothing: no noise, and nothing foretold."""
-    robot = example_arm(None)
-    true, data, elsewhere = simulated(
-        robot, ("harmonics",), np.random.default_rng([2, 30, sum(map(ord, "harmonics"))]), 30
-    )
+    robot, seed = example_arm(None), [2, 30, sum(map(ord, "harmonics"))]
+    true, data, elsewhere = simulated(robot, ("harmonics",), np.random.default_rng(seed), 30)
     fit = calib.fit(robot, data, terms="auto")
     assert sure(fit) == {"harmonics"}
     alone = calib.fit(robot, data)

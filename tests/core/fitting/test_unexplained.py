@@ -8,6 +8,7 @@ import argparse
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -58,20 +59,14 @@ def simulated(robot, shape, rng, *, n=60, size=SIZE, again=1):
     return q[measured], read, q[n:], points[n:]
 
 
-def test_of_very_many_poses_only_those_that_sizes_are_found_from_are_observed(monkeypatch):
-    robot = example("arm")
+def test_of_very_many_poses_only_those_that_sizes_are_found_from_are_observed(robot, monkeypatch):
     fit = calib.fit(robot, calib.simulate(robot, robot.sample(700, seed=1), seed=2))
-    model, observed = KindModel(fit, ()), []
-    observe = calib.core.fitting.terms.kind_model.observe
-    monkeypatch.setattr(
-        "calib.core.fitting.terms.kind_model.observe",
-        lambda robot, poses, *others, **how: (
-            observed.append(len(poses.actuated)) or observe(robot, poses, *others, **how)
-        ),
-    )
+    model = KindModel(fit, ())
+    observe = mock.Mock(wraps=calib.core.fitting.terms.kind_model.observe)
+    monkeypatch.setattr("calib.core.fitting.terms.kind_model.observe", observe)
     read = model.informative_rows
     rows = model.rows(read, fit.scales, np.ones(1, dtype=bool))
-    assert observed == [350]
+    assert [len(call.args[1].actuated) for call in observe.call_args_list] == [350]
     np.testing.assert_allclose(rows.columns, fit.rows.jacobian[read], rtol=1e-9, atol=1e-9)
 
 
@@ -141,18 +136,16 @@ def test_a_robot_that_its_parameters_describe_is_hardly_less_certain(name):
     assert 0.9 < np.mean([part for _, part in results]) < 0.995
 
 
-def test_gross_errors_at_few_poses_are_no_errors_of_joints():
+def test_gross_errors_at_few_poses_are_no_errors_of_joints(robot):
     """They were 0.77 mrad; without gross errors 0.005 mrad is found on average."""
-    robot = example("arm")
     q, read, _, _ = simulated(robot, "none", np.random.default_rng(7))
     read[[11, 30, 52]] += 50 * NOISE * np.random.default_rng(8).standard_normal((3, 3))
     fit = calib.fit(robot, calib.as_measurements(robot, q, read), sigma=NOISE)
     assert fit.joint_error < 2.5e-5
 
 
-def test_what_is_added_is_the_lever_of_each_joint():
+def test_what_is_added_is_the_lever_of_each_joint(robot):
     """By the equation, with derivatives by differences, in the frame of the measurement and for turns too."""
-    robot = example("arm")
     fit, _ = fitted(robot, "rough", 3)
     q = fit.identification.data.joints[:4]
     predicted = fit.predict(q)
@@ -173,26 +166,21 @@ def silent(folder):
     return calib.load(copied(folder, EXAMPLES / "arm.yaml", ("sigma: 0.03 mm\n", "")))
 
 
-@pytest.fixture
-def silent_arm(tmp_path):
-    return silent(tmp_path)
-
-
 @pytest.mark.parametrize("again", [1, 2])
-def test_errors_of_joints_are_told_from_noise_that_is_not_stated(silent_arm, again):
+def test_errors_of_joints_are_told_from_noise_that_is_not_stated(tmp_path, again):
     """By the directions in which joints move the tool, and by repeats: without repeats, they all counted as noise."""
-    q, read, elsewhere, points = simulated(silent_arm, "rough", np.random.default_rng(4), again=again)
-    names = [str(k // again) for k in range(len(q))]
-    fit = calib.fit(silent_arm, calib.as_measurements(silent_arm, q, read, names))
+    robot = silent(tmp_path)
+    q, read, elsewhere, points = simulated(robot, "rough", np.random.default_rng(4), again=again)
+    fit = calib.fit(robot, calib.as_measurements(robot, q, read, [str(k // again) for k in range(len(q))]))
     assert fit.joint_error == pytest.approx(SIZE, rel=0.3)
     assert 0.88 < held(fit, elsewhere, points) < 0.99
 
 
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", ["gain", "harmonics", "curve", "compliance", "coupling"])
-def test_a_term_that_the_model_lacks_counts_where_noise_is_not_stated(silent_arm, kind):
+def test_a_term_that_the_model_lacks_counts_where_noise_is_not_stated(tmp_path, kind):
     """Error over standard deviation, each of three robots; of couplings it was up to 2.7."""
-    ratios = [_error_over_std(silent_arm, kind, np.random.default_rng(104 + 10 * seed)) for seed in range(3)]
+    ratios = [_error_over_std(silent(tmp_path), kind, np.random.default_rng(104 + 10 * seed)) for seed in range(3)]
     assert 0.7 < min(ratios) < max(ratios) < 1.3
 
 
@@ -222,8 +210,7 @@ def test_what_rows_cannot_tell_from_noise_counts_as_errors_of_joints():
     assert found(1e4, stated=True) < 5e-5
 
 
-def test_a_result_keeps_it_and_every_text_counts_it(tmp_path, run_calib, with_pages):
-    robot = example("arm")
+def test_a_result_keeps_it_and_every_text_counts_it(robot, tmp_path, run_calib, with_pages):
     fit, _ = fitted(robot, "rough", 5)
     fit.save(tmp_path / "out")
     assert load_result(tmp_path / "out").uncertainty.joint_error == fit.joint_error
@@ -231,10 +218,8 @@ def test_a_result_keeps_it_and_every_text_counts_it(tmp_path, run_calib, with_pa
     assert said in " ".join(fit.report(verbose=True).split())
     assert said in (tmp_path / "out" / "report.html").read_text()
     (tmp_path / "poses.csv").write_text(",".join(robot.joint_names) + "\n" + ",".join(["0.3"] * 6) + "\n")
-    run = run_calib(
-        "predict", EXAMPLES / "arm.yaml", tmp_path / "poses.csv", "--result", tmp_path / "out", "--out",
-        tmp_path / "predicted.csv",
-    )  # fmt: skip
+    files = ("poses.csv", "--result", "out", "--out", "predicted.csv")
+    run = run_calib("predict", EXAMPLES / "arm.yaml", *files, cwd=tmp_path)
     assert said in " ".join(run.out.split())
 
 

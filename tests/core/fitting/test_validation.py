@@ -10,19 +10,19 @@ from calib.core.data.pose_groups import are_drawn_alike, is_apart, pose_labels
 from calib.core.fitting.validation import deal
 from calib.core.judging.claim import is_elsewhere, unlike_measured
 from tests.project import EXAMPLES
-from tests.six_axis_arm import joints, noisy
+from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
-RNG = np.random.default_rng(0)
+
+def measured(q, names):
+    """Readings of zero at these poses."""
+    return from_readings(calib.Poses(q, names, names, "test", ()), {"ball": plain_readings(np.zeros((len(q), 3)))})
 
 
 def some(n, same=()):
     """n poses; those listed in `same` stand at the joint values of pose 0."""
     q = joints(n)
-    for k in same:
-        q[k] = q[0]
-    names = tuple(str(k) for k in range(n))
-    by_name = {"ball": plain_readings(np.zeros((n, 3)))}
-    return from_readings(calib.Poses(q, names, names, "test", ()), by_name)
+    q[list(same)] = q[0]
+    return measured(q, tuple(str(k) for k in range(n)))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -40,7 +40,7 @@ def test_repeats_by_name_stay_together_although_their_encoders_differ(seed):
     q = np.repeat(joints(20), 3, axis=0)
     q += np.random.default_rng(1).uniform(-8e-4, 8e-4, q.shape)
     names = tuple(f"p{k // 3}" for k in range(60))
-    data = from_readings(calib.Poses(q, names, names, "test", ()), {"ball": plain_readings(np.zeros((60, 3)))})
+    data = measured(q, names)
     kept, held = data.split(validation=0.3, seed=seed)
     assert len(held) == 18
     assert not set(kept.names) & set(held.names)
@@ -81,9 +81,6 @@ def test_a_split_is_in_file_order_and_repeatable():
 def test_a_split_that_leaves_nothing_is_an_error(fraction):
     with pytest.raises(calib.DataError, match="no pose is left to"):
         some(10).split(validation=fraction)
-
-
-def test_all_poses_the_same_cannot_be_split():
     with pytest.raises(calib.DataError, match="no pose is left to fit"):
         some(10, same=range(1, 10)).split(validation=0.5)
 
@@ -118,15 +115,12 @@ def test_an_error_of_a_fit_without_one_fold_says_so():
     """The file has enough poses; those without a fold do not."""
     robot = calib.load(EXAMPLES / "five_bar.yaml")
     data = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", robot)[:8]
-    with pytest.raises(
-        calib.CalibrationError, match=r"fit without one fold \(4 of 8 poses\): .*; or ask for more folds"
-    ):
+    said = r"fit without one fold \(4 of 8 poses\): .*; or ask for more folds"
+    with pytest.raises(calib.CalibrationError, match=said):
         calib.fit(robot, data, folds=2)
 
 
 def test_before_is_with_base_and_target_placed_alone(tmp_path):
-    from tests.six_axis_arm import FREE, YAML, write_six_axis
-
     yaml = YAML.replace("frame: l0", "frame: l0, pose: unknown").replace("100 mm]", "100 mm], position: unknown")
     robot = calib.load(write_six_axis(tmp_path, yaml + FREE))
     moved = {"base.x": 0.7, "base.rz": 0.4, "ball.y": 0.05, "j3.rx": 0.002}

@@ -1,6 +1,7 @@
-"""What every kind of measurement keeps: exact derivatives, alone and through the chain of a robot, loops or none."""
+"""What every kind of measurement keeps: exact derivatives, alone and through a chain, and what cannot be said of it."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +13,17 @@ from calib.core.rows.observed import predict_readings
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
+from tests.core.instruments.test_kind_distance import YAML as WIRES
+from tests.core.instruments.test_kind_joint_reading import five_bar as encoder
+from tests.core.instruments.test_kind_orientation import TILTED
 from tests.core.instruments.test_kind_pixel import INTRINSICS, POINTS
+from tests.core.instruments.test_kind_pixel import YAML as CAMERA
+from tests.core.instruments.test_kind_pose import YAML as TRACKER
 from tests.core.instruments.test_kind_touch import EVERY as TOUCHED
+from tests.core.instruments.test_kind_touch import YAML as TOUCHES
 from tests.kind_checks import chain_error, kind_error
 from tests.project import EXAMPLES, copied
-from tests.six_axis_arm import joints, write_six_axis
+from tests.six_axis_arm import HEAD, free, joints, write_six_axis
 
 LENS = "{fx: 20, fy: 20, cx: 20, cy: 20, k1: 0.1, k2: 0.1, p1: 0.01, p2: 0.01, k3: 0.1}"
 EYE = f"kind: pixel, intrinsics: {INTRINSICS}, unknown_intrinsics: {LENS}"
@@ -54,12 +61,8 @@ def texts(names, root, tip, joint):
 
 def arm(folder):
     targets, instruments = texts(INSTRUMENTS, "l0", "l6", "j3")
-    yaml = "urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\nbase: {frame: l0}\npriors: false\ntargets:\n"
-    free = (
-        "parametrisation:\n  - {origin: j2, components: [x, z], sigma: 2 mm}\n"
-        "  - {origin: j5, components: [rx, ry], sigma: 5 mrad}\n"
-    )
-    return calib.load(write_six_axis(folder, yaml + targets + instruments + free)), 0.4 * joints(4)
+    yaml = f"{HEAD}base: {{frame: l0}}\npriors: false\ntargets:\n{targets}{instruments}parametrisation:\n"
+    return calib.load(write_six_axis(folder, yaml + free("j2.x", "j2.z", "j5.rx", "j5.ry"))), 0.4 * joints(4)
 
 
 def five_bar(folder):
@@ -115,3 +118,75 @@ def test_a_kind_by_itself_has_exact_derivatives(instruments, name):
     )
     readings = Readings(np.arange(n), pairs, values, None, details)
     assert kind_error(instrument, view, unknowns, readings) <= 1e-6
+
+
+DESCRIBED = {
+    "distance": WIRES,
+    "tilts": TILTED,
+    "pixel": CAMERA,
+    "pose": TRACKER,
+    "touch": TOUCHES + free("j2.x"),
+}
+SOCKETS, PLATE, SPHERES = (TOUCHED[form] for form in ("sockets", "plate", "spheres"))
+MISTAKES = [
+    ("encoder", "joint: left_elbow", "joint: left_elbo", "elbow.joint: no moving joint 'left_elbo'; did you mean"),
+    ("encoder", "joint: left_elbow", "joint: left_end", "instruments.elbow.joint: no moving joint 'left_end'"),
+    ("encoder", ", joint: left_elbow", "", "key 'instruments.elbow.joint' is missing"),
+    ("encoder", "zero: unknown", "dimension: length", "joint 'left_elbow' turns; set dimension: angle"),
+    ("encoder", "zero: unknown", "sigma_zero: 1 deg", "sigma_zero is for an encoder whose zero is unknown"),
+    ("encoder", "zero: unknown", "zero: unkown", "unknown value 'unkown'; did you mean 'unknown'"),
+    ("encoder", "zero: unknown", "offset: about 3", "offset: 'about 3' is not a finite number"),
+    ("encoder", "elbow: {k", "left_motor: {k", "its column 'left_motor' is that of a joint; rename the instrument"),
+    ("distance", "end: {frame: l0, position", "end: {position", "key 'instruments.wire.end.frame' is missing"),
+    ("distance", "end: {frame: l0, position", "end: {frame: l9, position", "no link or joint 'l9'"),
+    ("distance", "offset: unknown", "offset: {value: 3 mm}", "wire.offset: give {value: ..., sigma: ...}"),
+    ("distance", "offset: unknown", "offset: {value: 3 mm, sgma: 1}", "unknown key 'sgma'; did you mean 'sigma'"),
+    ("distance", "offset: unknown", "offset: 3 deg", "unit 'deg' is for an angle"),
+    ("distance", "-0.9, 0.1]}", "-0.9, 0.1], sigma: 1 mm}", "sigma is for a place whose position is unknown"),
+    ("tilts", "axes: gravity", "axes: gravty", "sensor.axes: unknown value 'gravty'; did you mean 'gravity'"),
+    ("tilts", "axes: gravity", "axes: gravity, rotation: rpy", "writes two tilts and no rotations; leave it out"),
+    ("tilts", "axes: gravity", "axes: gravity, sigma: [1, 1, 1]", "an inclinometer has two tilts; give one number"),
+    ("tilts", "axes: gravity", "axes: all, rotation: euler", "sensor.rotation: unknown value 'euler'"),
+    ("tilts", "target: cell", "target: cel", "instruments.sensor: no target 'cel'; did you mean 'cell'"),
+    ("pixel", "camera: {frame: l0}", "camera: {fram: l0}", "unknown key 'instruments.eye.camera.fram'; did you mean"),
+    ("pixel", "camera: {frame: l0}", "camera: {frame: l9}", "no link or joint 'l9'"),
+    ("pixel", "{frame: l0}, in", "{frame: l0, pose: known, sigma: 1 mm}, in", "for a camera whose pose is unknown"),
+    ("pixel", "fx: 2400, ", "", "key 'instruments.eye.intrinsics.fx' is missing"),
+    ("pixel", "fx: 2400", "fx: -2400", "instruments.eye.intrinsics.fx: "),
+    ("pixel", "cx: 1000", "cx: .inf", "instruments.eye.intrinsics.cx: "),
+    ("pixel", "k1: -0.1", "k1: .nan", "instruments.eye.intrinsics.k1: "),
+    ("pixel", "k1: -0.1", "k4: -0.1", "unknown key 'instruments.eye.intrinsics.k4'"),
+    ("pixel", f"points: {POINTS}", "points: {}", "eye: needs points (name: [x, y, z]), points_file or board"),
+    ("pixel", f"points: {POINTS}", "points_file: no.csv", "no.csv: no such file"),
+    ("pixel", f"points: {POINTS}", "points_file: arm.urdf", "no column 'point'; expected point, x, y, z"),
+    ("pixel", "target: body", "target: bdy", "instruments.eye: no target 'bdy'; did you mean 'body'"),
+    ("pixel", "eye: {kind", "body: {kind", "two places are called 'body'; rename one"),
+    ("pose", "target: cell", "target: cell, rotation: euler", "unknown value 'euler'"),
+    ("pose", "target: cell", "target: cell, sigma: [1 mm, 1 mm]", "entr"),
+    ("pose", "target: cell", "target: cell, sigma: {range: 1 um}", "'instruments.tracker.sigma.angle' is missing"),
+    ("pose", "target: cell", "target: cell, sigma: {range: 1 um, angle: 1 mm}", "unit 'mm' is for a length"),
+    ("pose", "target: cell", "target: cell, sigma_angle: [1 mrad]", "entr"),
+    ("pose", "target: cell", "target: cell, sigma_angle: none", "is not a finite number"),
+    ("touch", "INSTRUMENT", "surface: socket", "probe: give what is touched: either `places` or an `artefact`"),
+    ("touch", "INSTRUMENT", f"{SOCKETS}, {PLATE}", "either `places` or an `artefact`"),
+    ("touch", "INSTRUMENT", SOCKETS.replace("left: {", "left: {radius: 3 mm, "), "places.left: radius is for spheres"),
+    ("touch", "INSTRUMENT", SOCKETS.replace("left: {", "left: {rpy: [0, 0, 1], "), "left: rpy and orientation are for"),
+    ("touch", "INSTRUMENT", SPHERES.replace(", radius: 40 mm", ""), "left: a sphere needs its radius, or 'radius: un"),
+    ("touch", "INSTRUMENT", SPHERES.replace("radius: 40", "radius: -40"), "places.left: radius must be positive"),
+    ("touch", "INSTRUMENT", f"radius: 3 mm, {SOCKETS}", "radius is for planes and spheres; a socket holds the centre"),
+    ("touch", "INSTRUMENT", f"surface: plane, {PLATE}", "an artefact has sockets or spheres; give planes as `places`"),
+    ("touch", "INSTRUMENT", f"surface: hole, {SOCKETS}", "unknown value 'hole'"),
+    ("touch", "INSTRUMENT", PLATE.replace("q: [90 mm", "q: [0 mm"), "the points 'p' and 'q' are at the same place"),
+    ("touch", "INSTRUMENT", PLATE.replace("pose: unknown", "sigma: 1 mm"), "for an artefact whose pose is unknown"),
+    ("touch", "INSTRUMENT", SOCKETS.replace("l0, position: unknown", "l0, sigma: 1 mm", 1), "sigma is for a"),
+    ("touch", "INSTRUMENT", SOCKETS.replace("left: {frame: l0, ", "left: {"), "places.left.frame' is missing"),
+]
+
+
+@pytest.mark.parametrize(("kind", "old", "new", "said"), MISTAKES)
+def test_descriptions_that_cannot_be(tmp_path, run_calib, kind, old, new, said):
+    robot = encoder(tmp_path).path if kind == "encoder" else write_six_axis(tmp_path, DESCRIBED[kind])
+    text = Path(robot).read_text()
+    assert old in text
+    Path(robot).write_text(text.replace(old, new))
+    assert said in run_calib("check", robot).refusal()

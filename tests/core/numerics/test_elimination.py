@@ -18,19 +18,12 @@ def scaled(medrue):
     return (jacobian * np.array([p.sigma_si for p in medrue.parameters])).reshape(-1, 36)
 
 
-def test_the_order_of_medrues_description_gives_the_papers_eight(medrue, scaled):
-    order = [NAMES.index(name) for name in medrue.description.elimination_order]
-    dropped = [NAMES[k] for k in eliminate(scaled, order).dropped]
-    assert sorted(dropped) == sorted(PAPER)
-    assert sorted(dropped) == sorted(table1().redundant)
-    assert sorted(dropped) == sorted(medrue.description.held)
-
-
-def test_the_papers_eight_do_not_hang_on_the_poses_or_on_rounding(medrue, scaled):
+def test_the_order_of_medrues_description_gives_the_papers_eight_whatever_the_poses_and_the_rounding(medrue, scaled):
     order = [NAMES.index(name) for name in medrue.description.elimination_order]
     noise = 1 + 1e-12 * np.random.default_rng(0).standard_normal(scaled.shape)
-    for matrix in (scaled[::2], scaled[:630], scaled * noise):
+    for matrix in (scaled, scaled[::2], scaled[:630], scaled * noise):
         assert sorted(NAMES[k] for k in eliminate(matrix, order).dropped) == sorted(PAPER)
+    assert sorted(PAPER) == sorted(table1().redundant) == sorted(medrue.description.held)
 
 
 def test_the_rest_has_full_rank_and_the_condition_number_that_is_told(scaled):
@@ -58,24 +51,13 @@ def test_no_step_with_the_order_is_worse_than_the_tie_allows(scaled):
     assert ordered.conditions[-1] <= TIE * free.conditions[-1]
 
 
-def test_among_equal_columns_the_later_goes():
+def test_among_equal_columns_the_later_goes_and_what_is_needed_and_independent_stays():
     matrix = np.random.default_rng(1).standard_normal((20, 4))
     doubled = np.hstack([matrix, matrix[:, :1]])
+    assert eliminate(matrix).dropped == ()
     assert eliminate(doubled).dropped == (4,)
     assert eliminate(doubled, order=[0]).dropped == (0,)
-
-
-def test_a_column_that_is_needed_never_goes():
-    matrix = np.random.default_rng(1).standard_normal((20, 3))
-    doubled = np.hstack([matrix, matrix[:, :1]])
-    assert eliminate(doubled, order=[1, 2]).dropped in ((3,), (0,))
-
-
-def test_independent_columns_all_stay():
-    assert eliminate(np.random.default_rng(1).standard_normal((20, 4))).dropped == ()
-
-
-def test_a_matrix_of_zeros_loses_every_column():
+    assert eliminate(doubled, order=[1, 2]).dropped in ((4,), (0,))
     assert len(eliminate(np.zeros((6, 3))).dropped) == 3
 
 

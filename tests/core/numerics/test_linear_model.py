@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from calib.core.numerics.clusters import shifts_without_block
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.prior import Prior
 
@@ -36,18 +35,3 @@ def test_a_model_by_some_parameters_holds_the_others(model):
     part = model.select_parameters(some)
     assert part.cost == pytest.approx(np.sum(model.residuals**2) + np.sum(model.deviations[[0, 3]] ** 2))
     np.testing.assert_allclose(part.step(), stacked(part, part.residuals), rtol=1e-9)
-
-
-def test_a_block_left_out_moves_its_rows_to_where_the_others_have_them(model):
-    block = np.arange(40) // 8
-    moved, decided = shifts_without_block(model.span, block, model.residuals + model.jacobian @ model.step())
-    assert decided.shape == (5,)
-    for b in range(5):
-        rest = block != b
-        others = LinearModel(model.residuals[rest], model.jacobian[rest], model.prior, model.deviations, model.layout)
-        expected = model.jacobian[~rest] @ (others.step() - model.step())
-        np.testing.assert_allclose(moved[~rest], expected, rtol=1e-8, atol=1e-10)
-
-
-def test_rows_that_were_not_read_count_in_no_group(model):
-    assert model.layout.counts.tolist() == [20, 15]

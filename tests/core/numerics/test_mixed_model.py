@@ -31,16 +31,20 @@ def small():
     return MixedRows(columns, values, FAMILY, GROUPS, np.array([False, True]), POSES, levers)
 
 
+def of_one_group(columns, values, family, *, stated=False, pose=None, levers=None):
+    """Rows of one group, each of a pose of its own without scatter if nothing else is said."""
+    n = len(values)
+    pose, levers = (np.arange(n), np.zeros((n, 0))) if pose is None else (pose, levers)
+    return MixedRows(columns, values, np.array(family), np.zeros(n, dtype=int), np.array([stated]), pose, levers)
+
+
 def one_way(sizes, rng, *, between, within):
     """A one-way layout with a common mean: groups of these sizes, their number as columns."""
     label = np.repeat(np.arange(len(sizes)), sizes)
     effects = between * rng.standard_normal(len(sizes))
     values = 3.0 + effects[label] + within * rng.standard_normal(len(label))
     columns = np.column_stack([np.eye(len(sizes))[label], np.ones(len(label))])
-    family = np.array([0] * len(sizes) + [FLAT])
-    n = len(label)
-    none = np.zeros((n, 0))
-    return MixedRows(columns, values, family, np.zeros(n, dtype=int), np.array([False]), np.arange(n), none)
+    return of_one_group(columns, values, [0] * len(sizes) + [FLAT])
 
 
 def marginal_covariance(model, logs):
@@ -122,25 +126,19 @@ def test_blocks_that_are_left_out_are_predicted_by_a_solution_without_their_rows
     squares = solved.left_out_squares(block[small.pose], weight)
     for k in range(3):
         there, others = np.flatnonzero(block[POSES] == k), np.flatnonzero(block[POSES] != k)
-        kept = MixedModel.from_rows(
-            MixedRows(small.columns[others], small.values[others], FAMILY, GROUPS[others],
-                      small.has_stated_noise, POSES[others],
-                      small.levers[others])
-        ).solve(LOGS)  # fmt: skip
+        parts = {name: getattr(small, name)[others] for name in ("columns", "values", "group", "pose", "levers")}
+        kept = MixedModel.from_rows(replace(small, **parts)).solve(LOGS)
         errors = small.values[there] - small.columns[there] @ kept.coefficients
         assert squares[k] == pytest.approx(np.sum(weight[GROUPS[there]] * errors**2), rel=1e-6)
 
 
 def test_what_a_block_alone_decides_is_no_error_of_it(small):
     """The place of a setup is a flat column of its rows: what they say together with it does not change their error."""
-    columns = np.column_stack([small.columns, np.where(POSES < 10, 1.0, 0.0)])
-    family, none = np.append(FAMILY, FLAT), np.zeros((60, 0))
-    squares = []
+    columns, squares = np.column_stack([small.columns, np.where(POSES < 10, 1.0, 0.0)]), []
     for moved in (0.0, 7.0):
         values = small.values + np.where(POSES < 10, moved, 0.0)
-        solved = MixedModel.from_rows(
-            MixedRows(columns, values, family, GROUPS * 0, small.has_stated_noise[:1], POSES, none)
-        ).solve(LOGS[:3])  # fmt: skip
+        rows = of_one_group(columns, values, np.append(FAMILY, FLAT), pose=POSES, levers=np.zeros((60, 0)))
+        solved = MixedModel.from_rows(rows).solve(LOGS[:3])
         squares.append(solved.left_out_squares((POSES >= 10).astype(int), np.ones(1)))
     np.testing.assert_allclose(squares[1], squares[0], rtol=1e-6)
     assert squares[0][0] > 1.0
@@ -164,9 +162,8 @@ def test_a_balanced_one_way_layout_has_the_sizes_of_its_mean_squares(monkeypatch
     table = rows.values.reshape(12, 6)
     within = np.sum((table - table.mean(axis=1, keepdims=True)) ** 2) / (12 * 5)
     between = 6 * np.var(table.mean(axis=1), ddof=1)
-    family, noise, _ = MixedModel.from_rows(rows).sizes(
-        likeliest_sizes(MixedModel.from_rows(rows), least_gain=0.0).logs
-    )
+    model = MixedModel.from_rows(rows)
+    family, noise, _ = model.sizes(likeliest_sizes(model, least_gain=0.0).logs)
     assert noise[0] ** 2 == pytest.approx(within, rel=1e-4)
     assert family[0] ** 2 == pytest.approx((between - within) / 6, rel=1e-4)
 
@@ -188,10 +185,7 @@ def test_no_other_sizes_are_likelier(seed):
 
 def test_a_family_that_is_not_there_gets_no_size():
     rng = np.random.default_rng(3)
-    columns, values = rng.normal(size=(120, 8)), 0.1 * rng.standard_normal(120)
-    none = np.zeros((120, 0))
-    family = np.array([0] * 5 + [FLAT] * 3)
-    rows = MixedRows(columns, values, family, np.zeros(120, dtype=int), np.array([False]), np.arange(120), none)
+    rows = of_one_group(rng.normal(size=(120, 8)), 0.1 * rng.standard_normal(120), [0] * 5 + [FLAT] * 3)
     found = likeliest_sizes(MixedModel.from_rows(rows))
     assert np.exp(found.logs[0]) < 0.02
     drawn = np.exp(draw_sizes(found, 200, np.random.default_rng(0)))
@@ -203,8 +197,7 @@ def test_components_that_rows_do_not_see_are_put_aside():
     rng = np.random.default_rng(4)
     one = rng.normal(size=(40, 1))
     columns = np.concatenate([one, one * (1 + 1e-9)], axis=1)
-    none, n = np.zeros((40, 0)), np.arange(40)
-    rows = MixedRows(columns, one[:, 0], np.zeros(2, dtype=int), np.zeros(40, dtype=int), np.array([True]), n, none)
+    rows = of_one_group(columns, one[:, 0], [0, 0], stated=True)
     assert MixedModel.from_rows(rows).x.shape == (40, 1)
     length = np.sqrt(2.0) * np.linalg.norm(one)
     assert [MixedModel.from_rows(rows, factor * length).x.shape[1] for factor in (0.99, 1.01)] == [1, 0]
@@ -212,9 +205,7 @@ def test_components_that_rows_do_not_see_are_put_aside():
 
 def test_of_more_columns_than_rows_as_many_components_are_kept_as_there_are_rows():
     columns = np.random.default_rng(7).normal(size=(6, 40))
-    none, n = np.zeros((6, 0)), np.arange(6)
-    rows = MixedRows(columns, columns[:, 0], np.zeros(40, dtype=int), 0 * n, np.array([True]), n, none)
-    x = MixedModel.from_rows(rows).x
+    x = MixedModel.from_rows(of_one_group(columns, columns[:, 0], [0] * 40, stated=True)).x
     assert x.shape == (6, 6)
     np.testing.assert_allclose(x @ x.T, columns @ columns.T, atol=1e-12)
 
@@ -223,9 +214,8 @@ def test_an_absent_family_ends_at_its_bound_where_the_noise_is_a_small_part_of_t
     """A search ends beside the likeliest noise, on either side: no noise at all is no alternative to it."""
     rng = np.random.default_rng([9, 6])
     columns = rng.normal(size=(120, 10)) * np.repeat([1.0, 0.01], 5)
-    values, none = columns[:, :5] @ rng.normal(size=5) + 0.01 * rng.standard_normal(120), np.zeros((120, 0))
-    group, family = np.zeros(120, dtype=int), np.repeat([0, 1], 5)
-    model = MixedModel.from_rows(MixedRows(columns, values, family, group, np.array([False]), np.arange(120), none))
+    values = columns[:, :5] @ rng.normal(size=5) + 0.01 * rng.standard_normal(120)
+    model = MixedModel.from_rows(of_one_group(columns, values, np.repeat([0, 1], 5)))
     assert likeliest_sizes(model).logs[1] == least_sizes(model)[1]
 
 
@@ -237,8 +227,7 @@ def test_noise_and_scatter_are_told_apart_by_directions_that_joints_do_not_move(
         levers = rng.normal(size=(300, 2))
         scatter = np.einsum("kij,kj->ki", levers.reshape(100, 3, 2), 0.7 * rng.standard_normal((100, 2))).ravel()
         values = scatter + 0.4 * rng.standard_normal(300)
-        pose, group = np.repeat(np.arange(100), 3), np.zeros(300, dtype=int)
-        rows = MixedRows(np.ones((300, 1)), values, np.array([FLAT]), group, np.array([False]), pose, levers)
+        rows = of_one_group(np.ones((300, 1)), values, [FLAT], pose=np.repeat(np.arange(100), 3), levers=levers)
         found.append(np.exp(likeliest_sizes(MixedModel.from_rows(rows)).logs))
     np.testing.assert_allclose(np.mean(found, axis=0), [0.4, 0.7], rtol=0.06)
 
@@ -249,12 +238,10 @@ def test_intervals_hold_over_sizes_that_are_drawn():
     for seed in range(24):
         rng = np.random.default_rng([6, seed])
         columns = rng.normal(size=(70, 24))
-        family = np.array([0] * 10 + [1] * 10 + [FLAT] * 4)
         true = np.append(np.append(0.6 * rng.standard_normal(10), np.zeros(10)), rng.normal(size=4))
         values = columns @ true + 0.5 * rng.standard_normal(70)
         cut = 45
-        none, group = np.zeros((cut, 0)), np.zeros(cut, dtype=int)
-        rows = MixedRows(columns[:cut], values[:cut], family, group, np.array([False]), np.arange(cut), none)
+        rows = of_one_group(columns[:cut], values[:cut], [0] * 10 + [1] * 10 + [FLAT] * 4)
         found = likeliest_sizes(MixedModel.from_rows(rows))
         b, means, variances = by_components(found.model, columns[cut:]), [], []
         for logs in draw_sizes(found, 20, rng):
@@ -268,8 +255,7 @@ def test_intervals_hold_over_sizes_that_are_drawn():
 
 def test_the_information_about_a_size_of_zero_is_finite():
     rows = one_way([5] * 8, np.random.default_rng(7), between=0.0, within=1.0)
-    found = likeliest_sizes(MixedModel.from_rows(rows))
-    known = information_by_size(found)
+    known = information_by_size(likeliest_sizes(MixedModel.from_rows(rows)))
     assert np.all(np.linalg.eigvalsh(known) > 0.5)
 
 
@@ -289,10 +275,8 @@ def test_a_scatter_is_no_larger_than_residuals_that_are_nothing_else():
     levers = np.tile([[10.0, 0.0], [0.0, 0.1]], (n, 1))
     noise = rng.standard_normal(2 * n) * np.tile([100.0, 1000.0], n)
     known = 1e4 * rng.standard_normal(2 * n)  # its coefficient explains most of the values
-    rows = MixedRows(
-        known[:, None], noise + known, np.array([KNOWN]), np.zeros(2 * n, dtype=int), np.array([True]),
-        np.repeat(np.arange(n), 2), levers,
-    )  # fmt: skip
+    pose = np.repeat(np.arange(n), 2)
+    rows = of_one_group(known[:, None], noise + known, [KNOWN], stated=True, pose=pose, levers=levers)
     found = likeliest_sizes(MixedModel.from_rows(rows))
     alone = np.sqrt(np.sum(noise**2) / np.sum(levers**2))
     assert scatter_given_noise(found) == pytest.approx(alone, rel=0.1)
@@ -305,8 +289,7 @@ def test_noise_beside_a_scatter_is_that_of_the_rows():
     levers, pose = rng.standard_normal((3 * n, 4)), np.repeat(np.arange(n), 3)
     changes = np.einsum("kij,kj->ki", levers.reshape(n, 3, 4), 0.5 * rng.standard_normal((n, 4))).ravel()
     values = changes + 0.2 * rng.standard_normal(3 * n)
-    one = np.zeros(3 * n, dtype=int)
-    rows = MixedRows(np.ones((3 * n, 1)), values, np.array([FLAT]), one, np.array([False]), pose, levers)
+    rows = of_one_group(np.ones((3 * n, 1)), values, [FLAT], pose=pose, levers=levers)
     found = likeliest_sizes(MixedModel.from_rows(rows))
     noise = noise_given_scatter(found, 0.5)[0]
     assert noise == pytest.approx(0.2, rel=0.1)

@@ -19,10 +19,8 @@ def statistics_of(rows, sigma, has_prior=None, *, freedom=9.0, scales=None, assu
     values = np.array([sigma / assumed])
     factors = Factors(values, np.array([freedom]), values)
     known = information(rows / assumed, Prior(has_prior).rows)
-    groups = np.zeros(len(rows), dtype=np.intp)
-    return statistics(
-        rows / assumed @ known.root, groups, known, factors, np.ones(n) if scales is None else scales, Prior(has_prior)
-    )
+    span, groups = rows / assumed @ known.root, np.zeros(len(rows), dtype=np.intp)
+    return statistics(span, groups, known, factors, np.ones(n) if scales is None else scales, Prior(has_prior))
 
 
 def of_line(x, y):
@@ -30,10 +28,9 @@ def of_line(x, y):
     rows = np.column_stack([np.ones_like(x), x])
     residuals = y - rows @ np.linalg.lstsq(rows, y, rcond=None)[0]
     known, groups = information(rows), np.zeros(len(x), dtype=np.intp)
-    factors = find_factors(residuals, rows @ known.root, groups, 1)
-    return statistics(
-        rows @ known.root, groups, known, factors, np.ones(2), Prior(np.zeros(2, dtype=bool))
-    ), factors.values[0]
+    span, none = rows @ known.root, Prior(np.zeros(2, dtype=bool))
+    factors = find_factors(residuals, span, groups, 1)
+    return statistics(span, groups, known, factors, np.ones(2), none), factors.values[0]
 
 
 def test_a_straight_line_has_the_uncertainty_of_the_textbook():
@@ -151,9 +148,8 @@ def test_groups_of_rows_have_noise_of_their_own():
     weighted = rows / sigma[:, None] @ information(rows / sigma[:, None]).root
     right = (y / sigma) @ np.linalg.pinv(rows / sigma[:, None]).T
     factors = [find_factors(r / sigma, weighted, groups, 2) for r in y - right @ rows.T]
-    assert np.mean([factor.values**2 for factor in factors], axis=0) == pytest.approx(
-        [1.0, 1.0], rel=0.05
-    )  # 4 standard deviations
+    squares = np.mean([factor.values**2 for factor in factors], axis=0)
+    assert squares == pytest.approx([1.0, 1.0], rel=0.05)  # 4 standard deviations
     assert np.mean([item.values[1] for item in results]) > 3
     stated = Factors(np.array([1.0, 5.0]), np.array([36.0, 10.0]), np.array([1.0, 5.0]))
     judged_ = statistics(rows @ known.root, groups, known, stated, np.ones(4), Prior(np.zeros(4, dtype=bool)))

@@ -6,37 +6,22 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import calib
 from calib.core.robots.jacobian import linearise, relative_motion, sweeps
-from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return calib.load(robot_file())
-
-
-def relative_error(result, expected):
-    """Largest difference of a column, relative to that column's largest entry (to 1 mm per unit for zero columns)."""
-    scale = np.maximum(np.max(np.abs(expected), axis=(0, 1)), 1e-3)
-    return np.max(np.abs(result - expected) / scale)
+from tests.kind_checks import relative_error
 
 
 @pytest.mark.parametrize("values", [table1().nominal, table1().actual], ids=["nominal", "actual"])
-def test_all_36_columns_agree_with_differences_of_the_closed_form(robot, values):
+def test_all_36_columns_agree_with_differences_of_the_closed_form(medrue, values):
     q = target_workspace().q[::6]
-    at = robot.with_parameters(values)
+    at = medrue.with_parameters(values)
     result = linearise(at, at.assemble(q)).jacobian[:, 0]
-    step = 1e-6
     expected = np.empty_like(result)
-    for k in range(36):
-        change = step * np.eye(36)[k]
-        expected[:, :, k] = (forward(q, values + change).p_world_tool - forward(q, values - change).p_world_tool) / (
-            2 * step
-        )
+    for k, change in enumerate(1e-6 * np.eye(36)):
+        ends = [forward(q, values + sign * change).p_world_tool for sign in (1, -1)]
+        expected[:, :, k] = (ends[0] - ends[1]) / 2e-6
     assert relative_error(result, expected) <= 1e-6
 
 
@@ -51,10 +36,10 @@ def by_every_origin(robot, configurations):
 
 
 @pytest.mark.quick(0)
-def test_all_six_components_of_every_origin_agree_with_differences(robot):
+def test_all_six_components_of_every_origin_agree_with_differences(medrue):
     """Along a direction in which each of them takes part."""
     q = target_workspace().q[::40]
-    at = robot.with_parameters(table1().actual)
+    at = medrue.with_parameters(table1().actual)
     result = by_every_origin(at, at.assemble(q))[:, 0]
     step, rng = 1e-6, np.random.default_rng(2)
     for i, name in enumerate(at.mechanism.origin_names):

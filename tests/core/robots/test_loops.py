@@ -8,7 +8,6 @@ import pytest
 import calib
 from calib.core.robots import continuation, loops
 from calib.core.robots.closure import residual
-from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -16,11 +15,6 @@ from tests.project import EXAMPLES
 from tests.small_robots import edited_five_bar
 
 ANGLES = np.array([unit == "rad" for unit in table1().units])
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return calib.load(robot_file())
 
 
 def passive_of(oracle, robot):
@@ -34,25 +28,19 @@ def inside_limits(passive, robot):
         return np.all((passive >= robot.mechanism.lower) & (passive <= robot.mechanism.upper), axis=1)
 
 
-def drawn_parameters(rng):
-    """Within +-2 mm and +-1.5 degrees of nominal."""
-    return table1().nominal + np.where(ANGLES, np.radians(1.5), 2e-3) * rng.uniform(-1, 1, 36)
-
-
 @pytest.mark.amount(6, 60)
-def test_thousands_of_random_poses_and_parameters_agree_with_the_closed_form(robot, amount):
+def test_thousands_of_random_poses_and_parameters_agree_with_the_closed_form(medrue, amount):
+    """Parameters within +-2 mm and +-1.5 degrees of nominal."""
     rng = np.random.default_rng(7)
     worst, compared = 0.0, 0
     for _ in range(amount):
-        values = drawn_parameters(rng)
-        q = target_workspace().q[rng.integers(0, 420, 110)] + rng.uniform(-1, 1, (110, 6)) * np.array(
-            [0.03] + 5 * [0.08]
-        )
+        values = table1().nominal + np.where(ANGLES, np.radians(1.5), 2e-3) * rng.uniform(-1, 1, 36)
+        q = target_workspace().q[rng.integers(0, 420, 110)] + rng.uniform(-1, 1, (110, 6)) * [0.03, *5 * [0.08]]
         oracle = forward(q, values)
-        perturbed = robot.with_parameters(values)
+        perturbed = medrue.with_parameters(values)
         closed = perturbed.close(q)
-        passive = passive_of(oracle, robot)
-        assert np.array_equal(closed.ok, oracle.closes & inside_limits(passive, robot))
+        passive = passive_of(oracle, medrue)
+        assert np.array_equal(closed.ok, oracle.closes & inside_limits(passive, medrue))
         assert np.max(np.abs(closed.passive[closed.ok] - passive[closed.ok])) < 1e-9  # the same branch
         difference = perturbed.positions(q[closed.ok])[:, 0] - oracle.p_world_tool[closed.ok]
         worst = max(worst, float(np.max(np.abs(difference))))
@@ -62,14 +50,12 @@ def test_thousands_of_random_poses_and_parameters_agree_with_the_closed_form(rob
 
 
 @pytest.mark.quick(0)
-def test_poses_over_the_whole_joint_range_never_come_back_on_a_wrong_branch(robot):
-    rng = np.random.default_rng(8)
-    limits = np.array([(j.lower, j.upper) for j in robot.urdf.joints if j.name in robot.joint_names]).T
-    q = rng.uniform(*limits, (200, 6))
+def test_poses_over_the_whole_joint_range_never_come_back_on_a_wrong_branch(medrue):
+    q = np.random.default_rng(8).uniform(*medrue.joint_limits.T, (200, 6))
     oracle = forward(q, table1().nominal)
-    closed = robot.close(q)
+    closed = medrue.close(q)
     assert 5 < closed.ok.sum() < 195
-    assert np.array_equal(closed.ok, oracle.closes & inside_limits(passive_of(oracle, robot), robot))
+    assert np.array_equal(closed.ok, oracle.closes & inside_limits(passive_of(oracle, medrue), medrue))
 
 
 UNLIMITED = (r'lower="[-\d.]+" upper="[-\d.]+"', 'lower="-6" upper="6"')
@@ -137,11 +123,8 @@ def test_a_robot_far_from_the_root_links_origin_closes_and_measures_as_well(tmp_
 
 def test_loops_of_very_long_links_close_to_their_rounding(tmp_path):
     """Three kilometres of link leave 4e-13 m of rounding in every sum; the angles are those of the small robot."""
-
-    small, large = (
-        edited_five_bar(tmp_path),
-        edited_five_bar(tmp_path, (r'<origin xyz="(-?[\d.]+) 0 0"/>', r'<origin xyz="\1e4 0 0"/>')),
-    )
+    small = edited_five_bar(tmp_path)
+    large = edited_five_bar(tmp_path, (r'<origin xyz="(-?[\d.]+) 0 0"/>', r'<origin xyz="\1e4 0 0"/>'))
     assert large.mechanism.length == pytest.approx(3000)
     q = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", small).joints
     np.testing.assert_allclose(large.assemble(q).passive, small.assemble(q).passive, rtol=0, atol=1e-11)

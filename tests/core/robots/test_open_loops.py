@@ -10,18 +10,16 @@ import calib
 from calib.core.data.in_memory import as_measurements
 from calib.core.robots.closure import gap_text, loop_openings
 from calib.core.robots.loops import why_open
-from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from tests.small_robots import write_pose_loop
 
 
-def test_a_pose_beyond_a_passive_limit_names_the_joint_and_its_angle_in_the_closed_form():
-    robot = calib.load(robot_file())
-    q = robot.home.copy()
+def test_a_pose_beyond_a_passive_limit_names_the_joint_and_its_angle_in_the_closed_form(medrue):
+    q = medrue.home.copy()
     q[1:3] = -1.5
     with pytest.raises(calib.UnreachablePoseError) as error:
-        robot.assemble(q)
+        medrue.assemble(q)
     match = re.search(
         r"only with passive joint (\w+) at (\S+) deg, beyond its limits \(-149 to -17.19 deg\)", str(error.value)
     )
@@ -29,18 +27,17 @@ def test_a_pose_beyond_a_passive_limit_names_the_joint_and_its_angle_in_the_clos
     assert (float(match[2]) - expected) % 360 == pytest.approx(0, abs=0.05)  # printed with four digits
 
 
-def test_no_limit_is_named_that_holds():
+def test_no_limit_is_named_that_holds(medrue):
     """A pose that fails among others only, because their ways lead elsewhere, is closed alone within all limits."""
-    robot = calib.load(robot_file())
-    why = why_open(robot.mechanism, robot.mode, robot.home)
+    why = why_open(medrue.mechanism, medrue.mode, medrue.home)
     assert why.startswith("it closes if solved alone")
-    assert not any(name in why for name in robot.mechanism.passive)
+    assert not any(name in why for name in medrue.mechanism.passive)
 
 
 @pytest.mark.quick(0)
-def test_a_limit_of_a_passive_joint_is_no_wall_on_the_way_of_a_fit():
+def test_a_limit_of_a_passive_joint_is_no_wall_on_the_way_of_a_fit(medrue):
     """A pose ends within the limits of a slide, but is beyond them for most values on the way."""
-    robot, table = calib.load(robot_file()), table1()
+    robot, table = medrue, table1()
     rng = np.random.default_rng(90)
     values = table.nominal + rng.choice([-1.0, 1.0], len(table.names)) * (table.actual - table.nominal)
     truth = robot.with_parameters(dict(zip(table.names, values, strict=True)))
@@ -78,8 +75,8 @@ def test_a_full_pose_home_that_is_turned_apart_is_refused_in_degrees(tmp_path):
         calib.load(path)
 
 
-def test_nothing_in_an_assembly_mode_can_be_written_to():
-    mode = calib.load(robot_file()).mode
+def test_nothing_in_an_assembly_mode_can_be_written_to(medrue):
+    mode = medrue.mode
     for array in (mode.actuated, mode.passive, mode.signs, *mode.block_rows, *mode.block_columns):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1

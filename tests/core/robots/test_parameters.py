@@ -25,19 +25,11 @@ DIFFERENCE_ERROR = 1e-9
 """Central differences with step 1e-5: truncation of order 1e-10, rounding of order 1e-16 / 1e-5."""
 
 
-def random_values(robot, generator):
-    return robot.values + generator.normal(0, 1, len(robot.values)) * np.array(
-        [0.1 if p.dimension == "length" else 1.0 for p in robot.parameters]
-    )
-
-
 def differences(parametrisation, values):
     """Twists by central differences of the placements."""
     here = parametrisation.placements(values)
     by_name = {name: np.zeros((6, len(values))) for name in here}
-    for k in range(len(values)):
-        step = np.zeros(len(values))
-        step[k] = STEP
+    for k, step in enumerate(STEP * np.eye(len(values))):
         ahead, behind = parametrisation.placements(values + step), parametrisation.placements(values - step)
         for name, placement in here.items():
             forward, backward = (pin.log6(placement.actInv(moved[name])).vector for moved in (ahead, behind))
@@ -45,22 +37,17 @@ def differences(parametrisation, values):
     return by_name
 
 
-def assert_twists_are_derivatives(robot, seed):
-    generator = np.random.default_rng(seed)
-    for _ in range(3):
-        values = random_values(robot, generator)
-        twists, expected = robot.parametrisation.twists(values), differences(robot.parametrisation, values)
-        assert set(twists) == set(expected)
-        for name in expected:
-            assert np.abs(twists[name] - expected[name]).max() < DIFFERENCE_ERROR * (
-                1 + np.abs(expected[name]).max()
-            ), name
-
-
 def test_twists_of_origin_components_are_the_derivative_of_the_placements(tmp_path):
     robot = calib.load(write_arm(tmp_path, EVERYTHING))
     assert len(robot.parameters) == 4 * 6 + 6 + 3
-    assert_twists_are_derivatives(robot, 1)
+    generator = np.random.default_rng(1)
+    size = [0.1 if p.dimension == "length" else 1.0 for p in robot.parameters]
+    for _ in range(3):
+        values = robot.values + generator.normal(0, 1, len(robot.values)) * size
+        twists, expected = robot.parametrisation.twists(values), differences(robot.parametrisation, values)
+        assert set(twists) == set(expected)
+        for name, twist in expected.items():
+            assert np.abs(twists[name] - twist).max() < DIFFERENCE_ERROR * (1 + np.abs(twist).max()), name
 
 
 def test_twists_of_a_plugin_are_the_derivative_of_the_placements(medrue):
@@ -129,10 +116,8 @@ def test_all_means_the_origins_that_move_a_target_or_a_loop(tmp_path):
 
 def test_held_parameters_are_not_free(tmp_path):
     robot = calib.load(write_arm(tmp_path, ARM_YAML + "held: [turn.x, wrist.rz]\n"))
-    assert [p.name for p, free in zip(robot.parameters, robot.is_free, strict=True) if not free] == [
-        "turn.x",
-        "wrist.rz",
-    ]
+    held = [p.name for p, free in zip(robot.parameters, robot.is_free, strict=True) if not free]
+    assert held == ["turn.x", "wrist.rz"]
 
 
 def test_nominal_values_give_back_the_nominal_urdf_byte_for_byte(tmp_path, medrue):
@@ -255,22 +240,16 @@ class MissingTwist(SharedLength):
 @pytest.mark.parametrize(
     ("factory", "message"),
     [
-        (
-            Elsewhere,
-            "parametrisation 'mine': the robot has no origin 'slid'; did you mean 'slide'?",
-        ),
-        (WrongShape, "parametrisation 'mine': twists must give a (6, 1) array for each of the origins that"),
-        (MissingTwist, "parametrisation 'mine': twists must give a (6, 1) array for each of the origins that"),
-        (
-            ImportError("no module"),
-            "parametrisation 'mine' (somewhere:Mine) cannot be loaded: ImportError: no module; install its package",
-        ),
+        (Elsewhere, ": the robot has no origin 'slid'; did you mean 'slide'?"),
+        (WrongShape, ": twists must give a (6, 1) array for each of the origins that"),
+        (MissingTwist, ": twists must give a (6, 1) array for each of the origins that"),
+        (ImportError("none"), " (somewhere:Mine) cannot be loaded: ImportError: none; install its package"),
     ],
 )
 def test_a_plugin_that_breaks_the_protocol_is_an_error(install, factory, message):
     with pytest.raises(DescriptionError) as caught:
         install(factory)
-    assert message in str(caught.value)
+    assert f"parametrisation 'mine'{message}" in str(caught.value)
 
 
 def test_a_plugin_for_another_robot_says_what_it_misses(tmp_path):

@@ -11,6 +11,16 @@ from tests.urdf_trees import plain, urdf_of
 CHAIN = (("a", "revolute", "w", "1"), ("b", "prismatic", "1", "2"), ("c", "fixed", "2", "3"))
 
 
+def described(folder, joints, motors, base, end, free=""):
+    """A description of a URDF of these joints, in r.yaml."""
+    (folder / "plain.urdf").write_text(urdf_of(*joints))
+    (folder / "r.yaml").write_text(
+        f"urdf: plain.urdf\nname_mot: {motors}\nbase: {base}\ntargets: {{t: {{frame: '{end}'}}}}\n"
+        f"parametrisation: [{free}]\n"
+    )
+    return calib.load(folder / "r.yaml")
+
+
 def test_every_moving_joint_on_the_way_to_the_last_link_is_actuated(tmp_path):
     robot = plain(tmp_path, *CHAIN, ("d", "continuous", "3", "4"), ("e", "fixed", "4", "5"))
     assert robot.joint_names == ("a", "b", "d")
@@ -34,22 +44,22 @@ def test_every_joint_origin_on_the_way_is_free_with_default_priors(tmp_path):
     assert not any(p.prior for p in robot.parameters if p.placement)
 
 
-def test_fixed_side_branches_do_not_count_as_branches(tmp_path):
-    robot = plain(tmp_path, ("camera", "fixed", "1", "lens"), *CHAIN, ("light", "fixed", "w", "lamp"))
-    assert robot.target_names == ("3",)
-    assert robot.joint_names == ("a", "b")
+ARMS = (("left", "revolute", "3", "hand_1"), ("right", "revolute", "3", "hand_2"))
 
 
-def test_of_several_ends_behind_the_same_joints_the_last_in_the_file_is_the_last_link(tmp_path):
-    robot = plain(tmp_path, *CHAIN, ("flange", "fixed", "2", "tool0"))
-    assert robot.target_names == ("tool0",)
-
-
-def test_of_branches_the_longest_chain_is_taken_and_of_equal_ones_the_first(tmp_path):
-    arms = (("left", "revolute", "3", "hand_1"), ("right", "revolute", "3", "hand_2"))
-    assert plain(tmp_path, *CHAIN, *arms).joint_names == ("a", "b", "left")
-    longer = plain(tmp_path, *CHAIN, *arms, ("wrist", "revolute", "hand_2", "end"))
-    assert (longer.joint_names, longer.target_names) == (("a", "b", "right", "wrist"), ("end",))
+@pytest.mark.parametrize(
+    ("chain", "joints", "target"),
+    [
+        ((("camera", "fixed", "1", "lens"), *CHAIN, ("light", "fixed", "w", "lamp")), ("a", "b"), "3"),
+        ((*CHAIN, ("flange", "fixed", "2", "tool0")), ("a", "b"), "tool0"),
+        ((*CHAIN, *ARMS), ("a", "b", "left"), "hand_1"),
+        ((*CHAIN, *ARMS, ("wrist", "revolute", "hand_2", "end")), ("a", "b", "right", "wrist"), "end"),
+    ],
+    ids=["no branch that is fixed", "the last of ends behind the same joints", "the first of equal", "the longest"],
+)
+def test_which_chain_of_several_is_the_robot(tmp_path, chain, joints, target):
+    robot = plain(tmp_path, *chain)
+    assert (robot.joint_names, robot.target_names) == (joints, (target,))
 
 
 def test_the_base_is_the_link_that_the_first_moving_joint_stands_on(tmp_path):
@@ -59,12 +69,10 @@ def test_the_base_is_the_link_that_the_first_moving_joint_stands_on(tmp_path):
 
 
 def test_a_fixed_root_joint_that_a_description_frees_is_free_and_checked_as_redundant(tmp_path, run_calib):
-    (tmp_path / "plain.urdf").write_text(urdf_of(("world_joint", "fixed", "world", "w"), *CHAIN))
-    (tmp_path / "r.yaml").write_text(
-        "urdf: plain.urdf\nname_mot: [a, b]\nbase: {frame: world, pose: unknown}\ntargets: {t: {frame: '3'}}\n"
-        "parametrisation: [{origin: world_joint, components: [x, y, z], sigma: 1 mm}]\n"
-    )
-    assert calib.load(tmp_path / "r.yaml").parameters[0].name == "world_joint.x"
+    robot = described(tmp_path, [("world_joint", "fixed", "world", "w"), *CHAIN],
+                      "[a, b]", "{frame: world, pose: unknown}", "3",
+                      "{origin: world_joint, components: [x, y, z], sigma: 1 mm}")  # fmt: skip
+    assert robot.parameters[0].name == "world_joint.x"
     run = run_calib("check", "r.yaml", cwd=tmp_path)
     assert run.code == 0
     assert "base.x from world_joint.x" in run.out
@@ -97,14 +105,9 @@ def test_floating_and_planar_joints_that_carry_what_is_measured_are_refused_by_n
         plain(tmp_path, *behind)
     with pytest.raises(DescriptionError, match=said):
         plain(tmp_path, ("p", kind, "w", "1"))
-    (tmp_path / "plain.urdf").write_text(urdf_of(*behind))
-    for text in (
-        "name_mot: [a, t]\nbase: {frame: w, pose: known}\ntargets: {t: {frame: '3'}}\n",
-        "name_mot: [p]\nbase: {frame: w, pose: known}\ntargets: {t: {frame: '1'}}\n",
-    ):
-        (tmp_path / "r.yaml").write_text(f"urdf: plain.urdf\n{text}parametrisation: []\n")
+    for motors, end in (("[a, t]", "3"), ("[p]", "1")):
         with pytest.raises(DescriptionError, match=said):
-            calib.load(tmp_path / "r.yaml")
+            described(tmp_path, behind, motors, "{frame: w, pose: known}", end)
     run = run_calib("init", "plain.urdf", "--target", "3", "--out", "new.yaml", cwd=tmp_path)
     assert said in run.refusal()
     assert not (tmp_path / "new.yaml").exists()
@@ -135,13 +138,8 @@ def test_a_mimic_of_a_mimic_multiplies_through_and_a_ring_is_an_error(tmp_path):
 
 
 def test_a_mimic_joint_that_is_named_as_motor_is_its_own(tmp_path):
-    (tmp_path / "plain.urdf").write_text(urdf_of(
-        ("a", "prismatic", "w", "1"), ("b", "prismatic", "1", "2", '<mimic joint="a" multiplier="2"/>')))  # fmt: skip
-    (tmp_path / "r.yaml").write_text(
-        "urdf: plain.urdf\nname_mot: [b, a]\nbase: {frame: w}\ntargets: {t: {frame: '2'}}\n"
-        "parametrisation: [{origin: all, components: [x], sigma: 1 mm}]\n"
-    )
-    robot = calib.load(tmp_path / "r.yaml")
+    joints = ("a", "prismatic", "w", "1"), ("b", "prismatic", "1", "2", '<mimic joint="a" multiplier="2"/>')
+    robot = described(tmp_path, joints, "[b, a]", "{frame: w}", "2", "{origin: all, components: [x], sigma: 1 mm}")
     assert robot.joint_names == ("b", "a")  # in the description's order, not the tree's
     assert robot.forward([0.25, 1.0])[0, 3] == 1.25
 

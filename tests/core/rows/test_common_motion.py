@@ -9,7 +9,8 @@ from tests.programs.compensated_robots import described
 from tests.six_axis_arm import write_six_axis
 
 ELSEWHERE = {"base.x": 2.1, "base.y": -0.3, "base.rz": 2.0, "base.rx": 0.1}
-ARM = """urdf: arm.urdf
+ARM = """\
+urdf: arm.urdf
 name_mot: [j1, j2, j3, j4, j5, j6]
 base: {frame: l0, pose: BASE}
 targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: TOOL}}

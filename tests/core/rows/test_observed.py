@@ -9,6 +9,7 @@ from calib.core.instruments.kind import Readings
 from calib.core.robots.jacobian import linearise
 from calib.core.rows.observed import observe, predict_readings
 from medrue.workspace import target_workspace
+from tests.kind_checks import chain_error
 from tests.project import EXAMPLES, ROOT
 from tests.small_robots import ARM_YAML, write_arm, write_pose_loop
 
@@ -57,36 +58,19 @@ def case(request, tmp_path):
     return robot, q, readings
 
 
-def residuals(robot, q, readings):
-    observed = observe(robot, robot.assemble(q), readings)
-    return {name: observed[name].residuals for name in readings}
-
-
 @pytest.mark.quick(0)
 def test_derivatives_by_parameters_are_those_of_central_differences(case):
-    robot, q, readings = case
-    observed = observe(robot, robot.assemble(q), readings)
-    for k in range(len(robot.parameters)):
-        change = STEP * (np.arange(len(robot.parameters)) == k)
-        ahead, behind = (residuals(robot.with_parameters(robot.values + s * change), q, readings) for s in (1, -1))
-        for name in readings:
-            numeric = (ahead[name] - behind[name]) / (2 * STEP)
-            np.testing.assert_allclose(
-                observed[name].jacobian[..., k], numeric, atol=2e-8, err_msg=robot.parameters[k].name
-            )
+    assert chain_error(*case) <= 1e-6
 
 
 def test_derivatives_by_joints_are_those_of_central_differences(case):
     robot, q, readings = case
     observed = observe(robot, robot.assemble(q), readings, joints=True)
-    for j in range(q.shape[1]):
-        change = STEP * (np.arange(q.shape[1]) == j)
-        ahead, behind = (residuals(robot, q + s * change, readings) for s in (1, -1))
+    for j, change in enumerate(STEP * np.eye(q.shape[1])):
+        ahead, behind = (observe(robot, robot.assemble(q + s * change), readings) for s in (1, -1))
         for name in readings:
-            numeric = (ahead[name] - behind[name]) / (2 * STEP)
-            np.testing.assert_allclose(
-                observed[name].joint_derivative[..., j], numeric, atol=2e-8, err_msg=robot.joint_names[j]
-            )
+            numeric = (ahead[name].residuals - behind[name].residuals) / (2 * STEP)
+            np.testing.assert_allclose(observed[name].joint_derivative[..., j], numeric, atol=2e-8)
 
 
 def test_residuals_are_predicted_minus_read_from_the_place_of_the_setup(case):
@@ -108,10 +92,8 @@ def test_in_every_setup_a_target_is_seen_from_where_the_tracker_then_stands(tmp_
         turn = np.array([value.get(f"{name}.{c}", 0.0) for c in ("rx", "ry", "rz")])
         return pin.SE3(pin.exp3(turn), np.array([value[f"{name}.{c}"] for c in "xyz"])).homogeneous
 
-    bases = ("base", "base@second", "base@third")
-    tips = ("tip", "tip", "tip@third")
     flange = robot.forward(q, "tool")  # tool seen from the measurement frame of the first setup
-    for pair, (base, tip) in enumerate(zip(bases, tips, strict=True)):
+    for pair, (base, tip) in enumerate((("base", "tip"), ("base@second", "tip"), ("base@third", "tip@third"))):
         chosen = readings.pairs == pair
         seen = place(base) @ np.linalg.inv(place("base")) @ flange[readings.visits[chosen]] @ place(tip)
         np.testing.assert_allclose(readings.values[chosen], seen[:, :3, 3], atol=1e-12)

@@ -13,15 +13,14 @@ from calib.core.rows.prediction import PositionUncertainty, order_of_joints, rec
 from calib.shared.candidates import rows_of_poses
 from tests.kind_checks import positions_by_joint
 from tests.project import write_table
-from tests.six_axis_arm import FREE, joints, measurements, noisy, six_axis_arm, write_six_axis
+from tests.six_axis_arm import FREE, joints, noisy, write_six_axis
 
 SIGMA = 4e-5
 
 
 @pytest.fixture(scope="module")
-def fit(tmp_path_factory):
-    robot = six_axis_arm(tmp_path_factory.mktemp("arm"))
-    return calib.fit(robot, noisy(robot, joints(60), SIGMA, seed=1))
+def fit(arm):
+    return calib.fit(arm, noisy(arm, joints(60), SIGMA, seed=1))
 
 
 @pytest.mark.quick(0)
@@ -78,12 +77,7 @@ KNOWN = "pose: known, xyz: [2, 0, 0]"
         (BALL, "unknown", "", {"body": 0}),  # the measurement frame is the tracker's then
         (BALL, "known", KNOWN, {}),
         ("level: {kind: orientation, target: ball}", "known", "", {}),  # nobody reads a position: all count
-        (
-            "wire: {kind: distance, target: ball, end: {frame: l0, xyz: [2, 0, 0]}}",
-            "known",
-            "",
-            {"body": 0},
-        ),
+        ("wire: {kind: distance, target: ball, end: {frame: l0, xyz: [2, 0, 0]}}", "known", "", {"body": 0}),
     ],
 )
 def test_targets_read_from_unknown_places_only_do_not_count_beside_others(tmp_path, other, pose, place, left_out):
@@ -106,9 +100,8 @@ def test_predict_writes_a_standard_deviation_for_each_coordinate(fit, tmp_path, 
     q = joints(3, seed=5)
     poses = write_table(tmp_path / "poses.csv", [f"j{k} [rad]" for k in range(1, 7)], q)
     out = tmp_path / "predicted.csv"
-    run = run_calib(
-        "predict", fit.nominal.path, poses, "--result", tmp_path / "out", "--out", out, "--json", tmp_path / "p.json"
-    )
+    files = ("--result", tmp_path / "out", "--out", out, "--json", tmp_path / "p.json")
+    run = run_calib("predict", fit.nominal.path, poses, *files)
     assert run.code == 0, run.err
     table = list(csv.DictReader(line for line in out.read_text().splitlines() if not line.startswith("#")))
     std = 1e3 * fit.predict(q).std[:, 0]
@@ -142,12 +135,9 @@ def test_other_combinations_do_not_depend_on_the_order_of_joints_and_the_signs_o
     rng = np.random.default_rng(4)
     for _ in range(20):
         q, order, signs = rng.uniform(-2, 2, (40, 6)), rng.permutation(6), rng.choice([-1.0, 1.0], 6)
-        np.testing.assert_array_equal(
-            recombined_joints(q[:, order] * signs, 15), recombined_joints(q, 15)[:, order] * signs
-        )
-        places, ways = order_of_joints(q)
-        np.testing.assert_array_equal(order_of_joints(q[:, order] * signs)[0], places[order])
-        np.testing.assert_array_equal(order_of_joints(q[:, order] * signs)[1], ways[order] * signs)
+        other, (places, ways) = q[:, order] * signs, order_of_joints(q)
+        np.testing.assert_array_equal(recombined_joints(other, 15), recombined_joints(q, 15)[:, order] * signs)
+        np.testing.assert_array_equal(order_of_joints(other), [places[order], ways[order] * signs])
 
 
 WIRES = """\
@@ -203,15 +193,13 @@ def test_a_point_at_a_known_place_makes_the_measurement_frame_count(tmp_path):
 
 
 @pytest.mark.parametrize(("reach", "further"), [(1.0, False), (0.3, True)])
-def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, reach, further):
+def test_predict_says_what_the_fit_claims_at_these_poses(arm, tmp_path, run_calib, reach, further):
     """Measured in all of the space, or in a part of it, where errors of parameters do less than elsewhere."""
-    robot = six_axis_arm(tmp_path)
-    fit = calib.fit(robot, noisy(robot, reach * joints(60), 4e-5, 1))
+    fit = calib.fit(arm, noisy(arm, reach * joints(60), 4e-5, 1))
     fit.save(tmp_path / "out", pages=False)
     q = joints(20, 7)
     write_table(tmp_path / "q.csv", "j1,j2,j3,j4,j5,j6", q)
-    run = run_calib("predict", tmp_path / "arm.yaml", tmp_path / "q.csv", "--result", tmp_path / "out", "--out",
-                    tmp_path / "p.csv")  # fmt: skip
+    run = run_calib("predict", arm.path, "q.csv", "--result", "out", "--out", "p.csv", cwd=tmp_path)
     claim = fit.verdict.claim
     told, there = claim.at_measured_poses, np.mean(fit.predict(q).distance ** 2)
     grown = np.sqrt(1 + max(there - claim.rms**2, 0.0) / told.rms**2)
@@ -226,36 +214,28 @@ def test_predict_says_what_the_fit_claims_at_these_poses(tmp_path, run_calib, re
 
 @pytest.mark.quick(0)
 @pytest.mark.amount(1, 6)
-def test_what_is_expected_at_further_poses_like_those_measured_is_what_is_claimed(tmp_path, amount):
+def test_what_is_expected_at_further_poses_like_those_measured_is_what_is_claimed(arm, amount):
     """Simulated, a curve of each joint from few poses: positions of poses that were used are known far better."""
-    robot, expected = six_axis_arm(tmp_path).with_terms(parse_terms("curve")), []
-    for seed in range(amount):
-        rng = np.random.default_rng(seed)
-        off = [0.0 if p.placement else p.sigma_si * rng.standard_normal() for p in robot.parameters]
-        true = robot.with_parameters(robot.values + np.where(robot.is_free, off, 0.0))
-        fit = calib.fit(robot, measurements(robot, joints(45, seed), _read(true, joints(45, seed), rng)))
-        q = joints(300, 50 + seed)
-        error = np.sqrt(np.mean(np.sum((fit.robot.positions(q) - _read(true, q, rng)) ** 2, axis=2)))
-        expected.append(error / fit.claim_at(q).rms)
+    robot = arm.with_terms(parse_terms("curve"))
+    expected = [_errors_of_a_fit(robot, 1.0, 45, seed)[0] for seed in range(amount)]
     assert np.sqrt(np.mean(np.square(expected))) == pytest.approx(1.0, abs=0.37 / np.sqrt(amount))
 
 
-def test_what_is_expected_beyond_the_poses_measured_is_nearer_the_truth(tmp_path):
+def test_what_is_expected_beyond_the_poses_measured_is_nearer_the_truth(arm):
     """Simulated: measured in a part of the joints' range, and asked for in all of it."""
-    robot, claimed, expected = six_axis_arm(tmp_path), [], []
-    for seed in range(5):
-        rng = np.random.default_rng(seed)
-        off = [0.0 if p.placement else p.sigma_si * rng.standard_normal() for p in robot.parameters]
-        true = robot.with_parameters(robot.values + np.where(robot.is_free, off, 0.0))
-        fit = calib.fit(robot, measurements(robot, 0.3 * joints(60, seed), _read(true, 0.3 * joints(60, seed), rng)))
-        q = joints(200, 50 + seed)
-        error = np.sqrt(np.mean(np.sum((fit.robot.positions(q) - _read(true, q, rng)) ** 2, axis=2)))
-        claimed.append(error / fit.verdict.claim.at_measured_poses.rms)
-        expected.append(error / fit.claim_at(q).rms)
-    assert np.sqrt(np.mean(np.square(claimed))) > 1.5
-    assert 0.75 < np.sqrt(np.mean(np.square(expected))) < 1.33
+    ratios = [_errors_of_a_fit(arm, 0.3, 60, seed) for seed in range(5)]
+    expected, claimed = np.sqrt(np.mean(np.square(ratios), axis=0))
+    assert claimed > 1.5
+    assert 0.75 < expected < 1.33
 
 
-def _read(true, q, rng):
-    positions = true.positions(q)
-    return positions + 4e-5 * rng.standard_normal(positions.shape)
+def _errors_of_a_fit(robot, reach, n, seed):
+    """Errors of a fit to n poses at others, over what is expected there, and over what is claimed where measured."""
+    rng = np.random.default_rng(seed)
+    off = [0.0 if p.placement else p.sigma_si * rng.standard_normal() for p in robot.parameters]
+    true = robot.with_parameters(robot.values + np.where(robot.is_free, off, 0.0))
+    fit = calib.fit(robot, noisy(true, reach * joints(n, seed), SIGMA, seed))
+    q = joints(300, 50 + seed)
+    read = noisy(true, q, SIGMA, 100 + seed).points(true)
+    error = np.sqrt(np.mean(np.sum((fit.robot.positions(q) - read) ** 2, axis=2)))
+    return error / fit.claim_at(q).rms, error / fit.verdict.claim.at_measured_poses.rms

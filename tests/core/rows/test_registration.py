@@ -10,8 +10,9 @@ import calib
 from calib.core.base.errors import DataError
 from calib.core.rows.registration import register
 from medrue import robot_file
-from tests.project import EXAMPLES
+from tests.project import EXAMPLES, copied
 from tests.small_robots import ARM_YAML, write_arm
+from tests.urdf_trees import urdf_of
 
 ROUNDING = 1e-9
 """The iteration of the rigid fits stops below a nanometre."""
@@ -27,11 +28,9 @@ def robot_with(tmp_path, *, base, targets):
     return calib.load(write_arm(tmp_path, yaml + "\n" + ARM_YAML[ARM_YAML.index("parametrisation:") :]))
 
 
-def exact(robot, n=12):
+def exact(robot):
     generator = np.random.default_rng(41)
-    q = generator.uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (n, 3))
-    names = tuple(str(k) for k in range(n))
-    return calib.simulate(robot, calib.Poses(q, names, names, "exact", ()), 0.0, generator)
+    return calib.simulate(robot, generator.uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (12, 3)), 0.0, generator)
 
 
 BASE = {"base.x": 3.0, "base.y": -2.0, "base.z": 1.0, "base.rx": 2.0, "base.ry": -1.0, "base.rz": 0.5}
@@ -80,15 +79,14 @@ def test_held_places_stay(tmp_path):
     robot = robot_with(tmp_path, base="known", targets=[("tip", "tool", "unknown")])
     description = robot.description.model_copy(update={"held": ("tip.y",)})
     robot = replace(robot, description=description).with_parameters({"tip.x": 0.2})
-    data = exact(robot.with_parameters({"tip.x": -0.1, "tip.z": 0.3}))
-    assert register(robot, data).values == pytest.approx(robot.with_parameters({"tip.x": -0.1, "tip.z": 0.3}).values)
+    truth = robot.with_parameters({"tip.x": -0.1, "tip.z": 0.3})
+    assert register(robot, exact(truth)).values == pytest.approx(truth.values)
 
 
 def test_points_that_fix_no_frame_leave_it_open_and_the_fit_says_so(tmp_path):
     robot = robot_with(tmp_path, base="unknown", targets=[("tip", "tool", "known")])
     q = np.array([[0.1, s, 0.2] for s in np.linspace(0, 0.5, 9)])  # along a line
-    names = tuple("abcdefghi")
-    data = calib.simulate(robot, calib.Poses(q, names, names, "line", ()), 0.0, np.random.default_rng(1))
+    data = calib.simulate(robot, q, 0.0, np.random.default_rng(1))
     placed = register(robot, data)
     assert np.abs(placed.values - robot.values).max() < 1e-9
     with pytest.raises(DataError, match=r"lie on one line.*hold what stays open"):
@@ -110,13 +108,11 @@ FREE_PLACES = "pose: unknown}\ntargets: {tip: {frame: LAST, xyz: [0, 0, 0.1], po
 def chain(folder, name, held=""):
     """A robot of joints one after the other, with unknown base and target."""
     axes = CHAINS[name]
-    links = "".join(f'<link name="l{k}"/>' for k in range(len(axes) + 1))
-    joints = "".join(
-        f'<joint name="j{k}" type="{kind}"><parent link="l{k}"/><child link="l{k + 1}"/><origin xyz="{xyz}"/>'
-        f'<axis xyz="{axis}"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+    joints = (
+        (f"j{k}", kind, f"l{k}", f"l{k + 1}", f'<origin xyz="{xyz}"/><axis xyz="{axis}"/>')
         for k, (kind, xyz, axis) in enumerate(axes)
     )
-    (folder / "chain.urdf").write_text(f'<robot name="chain">{links}{joints}</robot>')
+    (folder / "chain.urdf").write_text(urdf_of(*joints))
     text = f"urdf: chain.urdf\nname_mot: [{', '.join(f'j{k}' for k in range(len(axes)))}]\nbase: {{frame: l0, "
     text += FREE_PLACES.replace("LAST", f"l{len(axes)}") + "  - {origin: j0, components: [x], sigma: 1 mm}\n"
     (folder / "chain.yaml").write_text(text + f"held: [{held}]\n")
@@ -128,10 +124,7 @@ def arm(folder):
 
 
 def five_bar(folder):
-    for name in ("five_bar.urdf", "five_bar.yaml"):
-        text = (EXAMPLES / name).read_text()
-        (folder / name).write_text(text.replace("20 mm]}", "20 mm], position: unknown}"))
-    return calib.load(folder / "five_bar.yaml")
+    return calib.load(copied(folder, EXAMPLES / "five_bar.yaml", ("20 mm]}", "20 mm], position: unknown}")))
 
 
 def medrue_unplaced(folder):
@@ -149,9 +142,7 @@ def medrue_unplaced(folder):
 def test_a_tracker_anywhere_and_a_reflector_anywhere_are_found_without_help(make, tmp_path):
     robot = chain(tmp_path, make) if isinstance(make, str) else make(tmp_path)
     generator = np.random.default_rng(5)
-    q = robot.home + generator.uniform(
-        -0.05 if robot.passive_names else -1, 0.05 if robot.passive_names else 1, (12, len(robot.home))
-    )
+    q = robot.home + (0.05 if robot.passive_names else 1) * generator.uniform(-1, 1, (12, len(robot.home)))
     target = robot.target_names[0]
     for _ in range(10):
         place = 10 * generator.standard_normal(3), Rotation.random(random_state=generator).as_rotvec()
@@ -179,9 +170,8 @@ def test_a_linear_axis_is_calibrated_where_the_turn_about_it_is_held(tmp_path):
     robot = chain(tmp_path, "linear axis", held="j0.x, tip.x, tip.y, tip.z, base.rx")
     truth = robot.with_parameters({"base.x": 3.0, "base.y": -2.0, "base.ry": 0.2, "base.rz": 0.9})
     q = np.linspace(-1, 1, 10)[:, None]
-    fit = calib.fit(
-        robot, calib.as_measurements(robot, q, truth.positions(q) + 1e-4 * np.sin(np.arange(30)).reshape(10, 1, 3))
-    )
+    measured = truth.positions(q) + 1e-4 * np.sin(np.arange(30)).reshape(10, 1, 3)
+    fit = calib.fit(robot, calib.as_measurements(robot, q, measured))
     assert np.abs(fit.robot.values - truth.values).max() < 1e-3
 
 
@@ -190,10 +180,8 @@ def test_a_turntable_says_what_its_one_axis_leaves_open(tmp_path):
     robot = chain(tmp_path, "turntable", held="j0.x")
     q = np.linspace(-1, 1, 10)[:, None]
     data = calib.as_measurements(robot, q, robot.with_parameters(BASE | {"tip.x": 0.2}).positions(q))
-    with pytest.raises(
-        calib.NotIdentifiableError,
-        match=r"7 combinations of the 9 free parameters can be found .*; .*; not separable: base.x,.*tip.z",
-    ):
+    said = r"7 combinations of the 9 free parameters can be found .*; .*; not separable: base.x,.*tip.z"
+    with pytest.raises(calib.NotIdentifiableError, match=said):
         calib.fit(robot, data)
 
 

@@ -33,11 +33,8 @@ class Case:
         self.measured = self.robot.positions(self.q) + 1e-3 * rng.standard_normal((n, 2, 3))
         for visit, target in gaps:
             self.measured[visit, target] = np.nan
-        names = [instrument.name for instrument in self.robot.instruments]
-        of = {
-            instrument.name: self.robot.target_names.index(instrument.target) for instrument in self.robot.instruments
-        }
-        readings = {name: self.measured[:, of[name]] for name in names}
+        names = self.robot.target_names
+        readings = {item.name: self.measured[:, names.index(item.target)] for item in self.robot.instruments}
         self.data = change(calib.as_measurements(self.robot, self.q, readings))
         self.configurations = self.robot.assemble(self.q)
         self.whitening = Whitening(self.robot, self.data, sigma)
@@ -74,23 +71,24 @@ def whitened(case, target, covariance):
     return np.matmul(root, j).reshape(-1, j.shape[2]), np.matmul(root, r[:, :, None]).ravel()
 
 
-def test_one_number_divides_every_row(tmp_path):
-    case = Case(tmp_path, TWO + "sigma: 0.1 mm\n")
-    parts = [whitened(case, target, 1e-8 * np.eye(3)) for target in ("elbow", "tip")]
+def assert_whitened(case, tip, elbow=9e-8):
+    """Rows are those of readings with these covariances, (3, 3) [m^2] each or one number; return them."""
+    by_target = {"tip": tip, "elbow": elbow}
+    parts = [whitened(case, name, np.eye(3) * c if np.isscalar(c) else c) for name, c in by_target.items()]
     same_information(case.rows(), *zip(*parts, strict=True))
+    return case.rows()
+
+
+@pytest.mark.parametrize(("given", "variance"), [(None, 1e-8), (5e-4, 25e-8)])
+def test_one_number_divides_every_row_and_one_that_is_given_replaces_it(tmp_path, given, variance):
+    case = Case(tmp_path, TWO + "sigma: 0.1 mm\n", sigma=given)
+    assert_whitened(case, variance, variance)
     assert [group.name for group in case.whitening.groups] == ["targets"]  # one instrument sees both
-
-
-def test_a_sigma_that_is_given_replaces_what_is_stated(tmp_path):
-    case = Case(tmp_path, TWO + "sigma: 0.1 mm\n", sigma=5e-4)
-    parts = [whitened(case, target, 25e-8 * np.eye(3)) for target in ("elbow", "tip")]
-    same_information(case.rows(), *zip(*parts, strict=True))
 
 
 def test_noise_of_each_axis(tmp_path):
     case = Case(tmp_path, instruments(", sigma: [0.1 mm, 0.2 mm, 0.5 mm]", ", sigma: 0.3 mm"))
-    parts = [whitened(case, "tip", np.diag([1e-8, 4e-8, 25e-8])), whitened(case, "elbow", 9e-8 * np.eye(3))]
-    same_information(case.rows(), *zip(*parts, strict=True))
+    assert_whitened(case, np.diag([1e-8, 4e-8, 25e-8]))
 
 
 def test_noise_of_a_tracker_along_and_across_its_beam(tmp_path):
@@ -102,55 +100,39 @@ def test_noise_of_a_tracker_along_and_across_its_beam(tmp_path):
         across = np.linalg.svd(point[None])[2][1:]
         basis = np.vstack([point / distance, across])
         covariance.append(basis.T @ np.diag([2e-5**2, *2 * [(1e-4 * distance) ** 2]]) @ basis)
-    parts = [whitened(case, "tip", np.array(covariance)), whitened(case, "elbow", 9e-8 * np.eye(3))]
-    same_information(case.rows(), *zip(*parts, strict=True))
+    assert_whitened(case, np.array(covariance))
 
 
-def with_covariance(data, name, covariance):
-    readings = dict(data.readings)
-    readings[name] = replace(readings[name], covariance=covariance)
-    return replace(data, readings=readings)
+def with_one(data, **changes):
+    """Measurements in which these of the instrument `one` are others."""
+    return replace(data, readings=dict(data.readings) | {"one": replace(data.readings["one"], **changes)})
+
+
+def some_covariance():
+    root = 1e-4 * np.random.default_rng(7).standard_normal((30, 3, 3))
+    return root @ root.transpose(0, 2, 1) + 1e-9 * np.eye(3)
 
 
 def test_the_covariance_of_a_row_comes_before_what_is_stated(tmp_path):
-    rng = np.random.default_rng(7)
-    root = 1e-4 * rng.standard_normal((30, 3, 3))
-    covariance = root @ root.transpose(0, 2, 1) + 1e-9 * np.eye(3)
-    case = Case(
-        tmp_path,
-        instruments(", sigma: 5 mm", ", sigma: 0.3 mm"),
-        change=lambda data: with_covariance(data, "one", covariance),
-    )
-    parts = [whitened(case, "tip", covariance), whitened(case, "elbow", 9e-8 * np.eye(3))]
-    same_information(case.rows(), *zip(*parts, strict=True))
+    yaml, covariance = instruments(", sigma: 5 mm", ", sigma: 0.3 mm"), some_covariance()
+    assert_whitened(Case(tmp_path, yaml, change=lambda data: with_one(data, covariance=covariance)), covariance)
 
 
 def test_readings_that_were_not_taken_are_no_rows(tmp_path):
     gaps = [(2, 0), (3, 1), (4, 0), (4, 1), (29, 1)]
-    case = Case(tmp_path, instruments(", sigma: 0.1 mm", ", sigma: 0.3 mm"), gaps=gaps)
-    parts = [whitened(case, "tip", 1e-8 * np.eye(3)), whitened(case, "elbow", 9e-8 * np.eye(3))]
-    rows = case.rows()
-    same_information(rows, *zip(*parts, strict=True))
+    rows = assert_whitened(Case(tmp_path, instruments(", sigma: 0.1 mm", ", sigma: 0.3 mm"), gaps=gaps), 1e-8)
     assert rows.layout.n_read == rows.layout.n_rows == 3 * (60 - len(gaps))
 
 
 @pytest.mark.parametrize("stated", ["axes", "covariance"])
 def test_a_component_that_was_not_read_counts_for_nothing(tmp_path, stated):
     """The others keep the noise that they have alone: rows and columns of the covariance are struck out."""
-    rng = np.random.default_rng(7)
-    root = 1e-4 * rng.standard_normal((30, 3, 3))
-    covariance = root @ root.transpose(0, 2, 1) + 1e-9 * np.eye(3)
-    if stated == "axes":
-        covariance = np.tile(np.diag([1e-8, 4e-8, 25e-8]), (30, 1, 1))
+    covariance = some_covariance() if stated == "covariance" else np.tile(np.diag([1e-8, 4e-8, 25e-8]), (30, 1, 1))
 
     def change(data):
-        readings = dict(data.readings)
-        values = readings["one"].values.copy()
+        values = data.readings["one"].values.copy()
         values[5, 1], values[8, :2] = np.nan, np.nan
-        readings["one"] = replace(
-            readings["one"], values=values, covariance=covariance if stated == "covariance" else None
-        )
-        return replace(data, readings=readings)
+        return with_one(data, values=values, covariance=covariance if stated == "covariance" else None)
 
     case = Case(tmp_path, instruments(", sigma: [0.1 mm, 0.2 mm, 0.5 mm]", ", sigma: 0.3 mm"), change=change)
     r, j = case.plain("tip")
@@ -185,12 +167,8 @@ def test_weights_of_readings_are_weights_of_their_squares(tmp_path):
     by_row = np.repeat(weights, 3)
     weighted = rows.with_weights(weights)
     assert np.sum(weighted.residuals**2) == pytest.approx(by_row @ rows.residuals**2)
-    np.testing.assert_allclose(
-        weighted.jacobian.T @ weighted.jacobian,
-        rows.jacobian.T @ (by_row[:, None] * rows.jacobian),
-        rtol=1e-10,
-        atol=1e-9,
-    )
+    expected = rows.jacobian.T @ (by_row[:, None] * rows.jacobian)
+    np.testing.assert_allclose(weighted.jacobian.T @ weighted.jacobian, expected, rtol=1e-10, atol=1e-9)
 
 
 def test_distances_are_lengths_of_whitened_residuals(tmp_path):

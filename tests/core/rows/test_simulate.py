@@ -11,31 +11,27 @@ from calib.core.data.plan_files import read_plan
 from calib.core.data.tables import read_table
 from tests.core.instruments.test_kind_pixel import FREE, INTRINSICS, POINTS
 from tests.kind_checks import brought, positions_by_joint
-from tests.six_axis_arm import joints, write_six_axis
+from tests.six_axis_arm import HEAD, YAML, joints, write_six_axis
 from tests.small_robots import ARM_YAML, small_arm, write_arm
 
 
 def some_poses(n):
-    q = np.random.default_rng(1).uniform([-1, 0, -1], [1, 0.5, 1], (n, 3))
-    names = tuple(str(k) for k in range(n))
-    return calib.Poses(q, tuple(f"pose {name}" for name in names), names, "here", ())
+    return np.random.default_rng(1).uniform([-1, 0, -1], [1, 0.5, 1], (n, 3))
 
 
 def test_without_noise_the_positions_are_those_of_the_robot(tmp_path):
     arm = small_arm(tmp_path)
-    truth = arm.with_parameters({"slide.x": 0.26})
-    poses = some_poses(10)
-    data = calib.simulate(truth, poses, 0.0, np.random.default_rng(1))
-    assert np.array_equal(data.points(arm), truth.positions(poses.joints))
-    assert np.array_equal(data.joints, poses.joints)
-    assert data.names == poses.names
+    truth, q, names = arm.with_parameters({"slide.x": 0.26}), some_poses(10), tuple("abcdefghij")
+    data = calib.simulate(truth, calib.Poses(q, names, names, "here", ()), 0.0, np.random.default_rng(1))
+    assert np.array_equal(data.points(arm), truth.positions(q))
+    assert np.array_equal(data.joints, q)
+    assert data.names == names
     assert data.n_readings == 10
 
 
 def test_noise_is_normal_and_the_same_on_every_axis(tmp_path):
-    arm = small_arm(tmp_path)
-    poses = some_poses(4000)
-    noise = calib.simulate(arm, poses, 2e-4, np.random.default_rng(2)).points(arm) - arm.positions(poses.joints)
+    arm, q = small_arm(tmp_path), some_poses(4000)
+    noise = calib.simulate(arm, q, 2e-4, np.random.default_rng(2)).points(arm) - arm.positions(q)
     z = noise[:, 0] / 2e-4
     # four standard deviations: 4 / sqrt(4000) of means and correlations, 4 sqrt(2 / 4000) of variances
     assert np.abs(z.mean(axis=0)).max() < 0.064
@@ -45,10 +41,8 @@ def test_noise_is_normal_and_the_same_on_every_axis(tmp_path):
 
 
 def test_the_same_seed_gives_the_same_numbers(tmp_path):
-    arm = small_arm(tmp_path)
-    first, two, other = (
-        calib.simulate(arm, some_poses(3), 1e-4, np.random.default_rng(s)).points(arm) for s in (5, 5, 6)
-    )
+    arm, poses = small_arm(tmp_path), some_poses(3)
+    first, two, other = (calib.simulate(arm, poses, 1e-4, np.random.default_rng(s)).points(arm) for s in (5, 5, 6))
     assert np.array_equal(first, two)
     assert not np.array_equal(first, other)
 
@@ -96,9 +90,9 @@ instruments:
 
 def test_without_a_sigma_every_instrument_has_the_noise_that_is_stated_of_it(tmp_path):
     robot = calib.load(write_arm(tmp_path, STATED))
-    poses = some_poses(4000)
-    data = calib.simulate(robot, poses, None, np.random.default_rng(2))
-    exact = robot.positions(poses.joints)[:, 0]
+    q = some_poses(4000)
+    data = calib.simulate(robot, q, None, np.random.default_rng(2))
+    exact = robot.positions(q)[:, 0]
     off = {name: readings.values - exact for name, readings in data.readings.items()}
     # four standard errors of a standard deviation: 4 / sqrt(2 * 4000) = 4.5 %
     assert np.std(off["scale"], axis=0) == pytest.approx([1e-4, 2e-4, 3e-4], rel=0.045)
@@ -113,13 +107,12 @@ def test_without_a_sigma_every_instrument_has_the_noise_that_is_stated_of_it(tmp
 
 
 def test_joints_that_do_not_come_back_move_all_that_is_read_of_a_visit_alike(tmp_path):
-    robot = calib.load(write_arm(tmp_path, STATED))
-    poses = some_poses(2000)
-    data = calib.simulate(robot, poses, 0.0, np.random.default_rng(2), joint_sigma=1e-4)
-    assert np.array_equal(data.joints, poses.joints)
+    robot, q = calib.load(write_arm(tmp_path, STATED)), some_poses(2000)
+    data = calib.simulate(robot, q, 0.0, np.random.default_rng(2), joint_sigma=1e-4)
+    assert np.array_equal(data.joints, q)
     np.testing.assert_array_equal(data.readings["tracker"].values, data.readings["scale"].values)
-    off = data.readings["tracker"].values - robot.positions(poses.joints)[:, 0]
-    slopes = positions_by_joint(robot, poses.joints)[:, 0] * robot.mechanism.joint_scale
+    off = data.readings["tracker"].values - robot.positions(q)[:, 0]
+    slopes = positions_by_joint(robot, q)[:, 0] * robot.mechanism.joint_scale
     expected = 1e-4 * np.sqrt(np.mean(np.sum(slopes**2, axis=2), axis=0))
     assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(expected, rel=0.07)
 
@@ -139,15 +132,10 @@ WIRE = "  wire: {kind: distance, target: tip, end: {frame: world}}\n"
 def test_noise_that_nobody_states_is_asked_for_before_anything_is_written(tmp_path, run_calib, more, options, words):
     write_arm(tmp_path, STATED + more.replace("world", small_arm(tmp_path).description.base.frame))
     (tmp_path / "q.csv").write_text("turn,slide,wrist\n0.1,0.2,0.3\n")
-    run = run_calib("simulate", "arm.yaml", "q.csv", *options, "--seed", "1", "--out", "m.csv", cwd=tmp_path)
-    assert words in run.refusal()
+    command = ("simulate", "arm.yaml", "q.csv", "--seed", "1", "--out", "m.csv")
+    assert words in run_calib(*command, *options, cwd=tmp_path).refusal()
     assert not (tmp_path / "m.csv").exists()
-    assert (
-        run_calib(
-            "simulate", "arm.yaml", "q.csv", "--sigma-mm", "0", "--seed", "1", "--out", "m.csv", cwd=tmp_path
-        ).code
-        == 0
-    )
+    assert run_calib(*command, "--sigma-mm", "0", cwd=tmp_path).code == 0
 
 
 KINDS = {
@@ -206,7 +194,7 @@ def test_every_kind_goes_through_a_file_and_the_truth_is_found_again(tmp_path, r
     turned = ", orientation: unknown" if kind in ("poses", "orientations", "tilts", "pixels") else ""
     target = f"{{frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: unknown{turned}}}"
     yaml = (
-        f"urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\npriors: false\nbase: {{frame: l0{pose}}}\n"
+        f"{HEAD}priors: false\nbase: {{frame: l0{pose}}}\n"
         f"targets: {{ball: {target}}}\ninstruments:\n{KINDS[kind]}{SETUPS.get(kind, '')}parametrisation:\n{FREE}"
     )
     robot = calib.load(write_six_axis(tmp_path, yaml))
@@ -258,16 +246,13 @@ def plan_of(robot, n):
 def test_a_stated_direction_of_approach_counts_in_plans_and_predictions(tmp_path, run_calib):
     yaml = ARM_YAML + "  - {joint: slide, term: backlash, sigma: 0.1 mm}\n"
     robot = calib.load(write_arm(tmp_path, yaml))
-    (tmp_path / "plan.csv").write_text(
-        "turn,slide,wrist,approach_slide\n0.1,0.2,0.3,-1\n0.1,0.3,0.3,-1\n0.1,0.4,0.3,1\n"
-    )
+    rows = "0.1,0.2,0.3,-1\n0.1,0.3,0.3,-1\n0.1,0.4,0.3,1\n"
+    (tmp_path / "plan.csv").write_text(f"turn,slide,wrist,approach_slide\n{rows}")
     (tmp_path / "values.csv").write_text("parameter,value,unit\nslide.backlash,0.5,mm\n")
     given = ("arm.yaml", "plan.csv", "--parameters", "values.csv")
     assert run_calib("predict", *given, "--out", "predicted.csv", cwd=tmp_path).code == 0
-    assert (
-        run_calib("simulate", *given, "--sigma-mm", "0", "--seed", "1", "--out", "simulated.csv", cwd=tmp_path).code
-        == 0
-    )
+    options = ("--sigma-mm", "0", "--seed", "1", "--out", "simulated.csv")
+    assert run_calib("simulate", *given, *options, cwd=tmp_path).code == 0
     actual = np.array([[0.1, 0.2 - 5e-4, 0.3], [0.1, 0.3 - 5e-4, 0.3], [0.1, 0.4 + 5e-4, 0.3]])
     for name in ("predicted.csv", "simulated.csv"):
         points = calib.read_measurements(tmp_path / name, robot).points(robot)
@@ -281,11 +266,7 @@ def test_a_stated_direction_of_approach_counts_in_plans_and_predictions(tmp_path
 @pytest.mark.parametrize("kind", ["planes", "sockets", "spheres"])
 def test_touches_are_the_same_whatever_rounding_does(tmp_path, kind):
     """The joints move along nothing that the gaps do not feel, however little damping is left."""
-    yaml = (
-        "urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\nbase: {frame: l0}\n"
-        "targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}}\n"
-        f"instruments:\n{KINDS[kind]}parametrisation:\n{FREE}"
-    )
+    yaml = f"instruments:\n{KINDS[kind]}{YAML}{FREE}"
     robot = calib.load(write_six_axis(tmp_path, yaml))
     (tmp_path / "q.csv").write_text(plan_of(robot, 60))
     plan, rng = read_plan(tmp_path / "q.csv", robot), np.random.default_rng(0)

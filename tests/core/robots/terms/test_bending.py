@@ -5,13 +5,14 @@ import re
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib
-from calib.core.robots.jacobian import linearise
 from calib.core.robots.terms.term import Context
-from tests.core.robots.terms.test_compliance import ARM, ARM_YAML, arm, poses, upright_five_bar
+from tests.core.robots.terms.test_compliance import ARM, ARM_YAML, HEADER, G, arm, joint, link, poses, upright_five_bar
+from tests.kind_checks import assert_positions_move_as_differences_say
+from tests.project import write_table
 
-G = 9.81
 ORIGINS = np.array([[0, 0, 0.3], [0.1, 0, 0.2], [0.5, 0, 0]])
 AXES = np.array([[0, 0, 1.0], [0, 1.0, 0], [0, 1.0, 0]])
 ACROSS = np.array([[[1.0, 0, 0], [0, 1.0, 0]], [[1.0, 0, 0], [0, 0, 1.0]], [[1.0, 0, 0], [0, 0, 1.0]]])
@@ -20,13 +21,7 @@ SOFT = np.array([3e-6, 5e-6, 1e-5])  # of the arm's three joints, across [rad / 
 
 
 def turned(vector):
-    """The rotation by a rotation vector (3,)."""
-    angle = np.linalg.norm(vector)
-    if angle == 0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return Rotation.from_rotvec(vector).as_matrix()
 
 
 def bent(q, tilts, load=0.0):
@@ -76,12 +71,8 @@ def test_a_bent_arm_is_where_rotations_written_out_bring_it(tmp_path):
 
 
 def test_a_sliding_carriage_tilts_about_all_three_axes(tmp_path):
-    link = '<inertial><origin xyz="0.2 0.3 0"/><mass value="4"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"'
-    (tmp_path / "rail.urdf").write_text(
-        '<robot name="rail"><link name="floor"/><joint name="rail" type="prismatic"><parent link="floor"/>'
-        '<child link="carriage"/><axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
-        f'<link name="carriage">{link} iyz="0"/></inertial></link></robot>'
-    )
+    rail = joint("rail", "floor", "carriage", "0 0 0", "1 0 0", "prismatic") + link("carriage", 4, "0.2 0.3 0")
+    (tmp_path / "rail.urdf").write_text(f'<robot name="rail"><link name="floor"/>{rail}</robot>')
     robot = calib.robot(
         tmp_path / "rail.urdf",
         motors=["rail"],
@@ -97,17 +88,14 @@ def test_a_sliding_carriage_tilts_about_all_three_axes(tmp_path):
     assert np.isclose(ball[2], -1e-5 * weight * (0.3**2 + 0.2**2), rtol=1e-5)
 
 
-def explicit(urdf, joint):
+def explicit(urdf, name):
     """A URDF in which the link behind a joint about z hangs on two more joints, about x and y."""
-    child = re.search(f'<joint name="{joint}".*?<child link="(.*?)"', urdf, flags=re.DOTALL).group(1)
-    pattern = f'(<joint name="{joint}".*?<child link=")({child})(")'
-    urdf = re.sub(pattern, rf"\1{joint}_a\3", urdf, count=1, flags=re.DOTALL)
-    more = ""
-    for name, parent, behind, axis in (("y", "a", f"{joint}_b", "0 1 0"), ("x", "b", child, "1 0 0")):
-        more += f'<joint name="{joint}_{name}" type="revolute"><parent link="{joint}_{parent}"/>'
-        more += f'<child link="{behind}"/><axis xyz="{axis}"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
-        more += "</joint>"
-    return urdf.replace("</robot>", f'<link name="{joint}_a"/><link name="{joint}_b"/>{more}</robot>')
+    behind = re.search(f'<joint name="{name}".*?<child link="(.*?)"', urdf, flags=re.DOTALL).group(1)
+    pattern = f'(<joint name="{name}".*?<child link=")({behind})(")'
+    urdf = re.sub(pattern, rf"\1{name}_a\3", urdf, count=1, flags=re.DOTALL)
+    more = joint(f"{name}_y", f"{name}_a", f"{name}_b", "0 0 0")
+    more += joint(f"{name}_x", f"{name}_b", behind, "0 0 0", "1 0 0")
+    return urdf.replace("</robot>", f'<link name="{name}_a"/><link name="{name}_b"/>{more}</robot>')
 
 
 def test_through_a_loop_it_is_as_a_urdf_with_joints_for_the_tilts(tmp_path):
@@ -119,21 +107,21 @@ def test_through_a_loop_it_is_as_a_urdf_with_joints_for_the_tilts(tmp_path):
     (tmp_path / "bending.yaml").write_text(text.replace("compliance", "bending"))
     robot = calib.load(tmp_path / "bending.yaml")
     motors = robot.joint_names
-    for joint in motors:
-        urdf = explicit(urdf, joint)
+    for name in motors:
+        urdf = explicit(urdf, name)
     (tmp_path / "explicit.urdf").write_text(urdf)
-    tilts = [f"{joint}_{axis}" for joint in motors for axis in "xy"]
+    tilts = [f"{motor}_{axis}" for motor in motors for axis in "xy"]
     text = re.sub(r"name_mot: .*", f"name_mot: [{', '.join([*motors, *tilts])}]", text)
     text = re.sub(r"urdf: .*", "urdf: explicit.urdf", text)
     text = text.replace("home: {", "home: {" + "".join(f"{name}: 0, " for name in tilts))
     (tmp_path / "explicit.yaml").write_text(text)
     other = calib.load(tmp_path / "explicit.yaml")
-    robot = robot.with_parameters({f"{joint}.bending": -3e-4 for joint in motors})
+    robot = robot.with_parameters({f"{name}.bending": -3e-4 for name in motors})
     other = other.with_parameters({f"{name}.compliance": -3e-4 for name in tilts})
     q = poses(robot, 8, 1)
     with_tilts = np.hstack([q, np.zeros((8, len(tilts)))])
     assert np.allclose(robot.positions(q), other.positions(with_tilts), rtol=0, atol=1e-11)
-    stiff = robot.with_parameters({f"{joint}.bending": 0.0 for joint in motors})
+    stiff = robot.with_parameters({f"{name}.bending": 0.0 for name in motors})
     assert np.abs(robot.positions(q) - stiff.positions(q)).max() > 1e-5
 
 
@@ -149,12 +137,8 @@ def test_derivatives_are_central_differences(tmp_path, machine):
     rng = np.random.default_rng(2)
     at = robot.values + 0.3 * rng.standard_normal(len(robot.values)) * [p.sigma_si for p in robot.parameters]
     robot, q = robot.with_parameters(at), poses(robot, 5, 3)
-    jacobian = linearise(robot, robot.assemble(q)).jacobian
-    for k, parameter in enumerate(robot.parameters):
-        step = 1e-2 * parameter.sigma_si * np.eye(len(at))[k]
-        ends = [robot.with_parameters(at + sign * step).positions(q) for sign in (1, -1)]
-        difference = (ends[0] - ends[1]) / (2e-2 * parameter.sigma_si)
-        assert np.allclose(jacobian[..., k], difference, rtol=0, atol=1e-6 * np.abs(difference).max() + 1e-9)
+    steps = [1e-2 * parameter.sigma_si for parameter in robot.parameters]
+    assert_positions_move_as_differences_say(robot, q, steps=steps)
 
 
 def measured(folder, n, seed, noise=1e-5):
@@ -162,8 +146,7 @@ def measured(folder, n, seed, noise=1e-5):
     q, load = rng.uniform(-0.8, 0.8, (n, 3)), np.tile([0.0, 10.0], n // 2)
     points = np.array([bent_by_gravity(*row) for row in zip(q, load, strict=True)])
     points += noise * rng.standard_normal(points.shape)
-    header = "turn [rad],lift [rad],bend [rad],ball_x [m],ball_y [m],ball_z [m],load [kg]"
-    np.savetxt(folder / "data.csv", np.column_stack([q, points, load]), delimiter=",", header=header, comments="")
+    write_table(folder / "data.csv", f"{HEADER},load [kg]", q, points, load)
     return points
 
 

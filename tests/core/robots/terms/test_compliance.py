@@ -10,37 +10,41 @@ import pytest
 import calib
 from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.terms.term import Context
-from tests.kind_checks import assert_terms_move_positions_as_differences_say
-from tests.project import EXAMPLES
+from tests.core.robots.test_loops import by_hand, elbows
+from tests.kind_checks import assert_positions_move_as_differences_say
+from tests.project import EXAMPLES, write_table
 
 G = 9.81
 STEP = 1e-5
 HEADER = "turn [rad],lift [rad],bend [rad],ball_x [m],ball_y [m],ball_z [m]"
 
-ARM = """\
-<robot name="arm">
-  <link name="base"><inertial><mass value="30"/>
-    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="turn" type="revolute"><parent link="base"/><child link="post"/><origin xyz="0 0 0.3"/>
-    <axis xyz="0 0 1"/>
-    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-  <link name="post"><inertial><origin xyz="0.05 0 0.1"/><mass value="8"/>
-    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="lift" type="revolute"><parent link="post"/><child link="upper"/><origin xyz="0.1 0 0.2"/>
-    <axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-  <link name="upper"><inertial><origin xyz="0.2 0 0.03"/><mass value="6"/>
-    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="bend" type="revolute"><parent link="upper"/><child link="fore"/><origin xyz="0.5 0 0"/>
-    <axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-  <link name="fore"><inertial><origin xyz="0.25 0 0"/><mass value="3"/>
-    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="mount" type="fixed"><parent link="fore"/><child link="tool"/><origin xyz="0.4 0 0"/></joint>
-  <link name="tool"><inertial><origin xyz="0 0 0.1"/><mass value="2"/>
-    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-</robot>
-"""
+
+def link(name, mass, xyz="0 0 0"):
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    return f'<link name="{name}"><inertial><origin xyz="{xyz}"/><mass value="{mass}"/>{inertia}</inertial></link>\n'
+
+
+def joint(name, parent, child, xyz, axis="0 1 0", kind="revolute", limits=(-3, 3)):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}"/>'
+        f'<axis xyz="{axis}"/><limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="1"/></joint>\n'
+    )
+
+
+ARM = (
+    '<robot name="arm">\n'
+    + link("base", 30)
+    + joint("turn", "base", "post", "0 0 0.3", "0 0 1")
+    + link("post", 8, "0.05 0 0.1")
+    + joint("lift", "post", "upper", "0.1 0 0.2")
+    + link("upper", 6, "0.2 0 0.03")
+    + joint("bend", "upper", "fore", "0.5 0 0")
+    + link("fore", 3, "0.25 0 0")
+    + joint("mount", "fore", "tool", "0.4 0 0", kind="fixed")
+    + link("tool", 2, "0 0 0.1")
+    + "</robot>\n"
+)
+MASSES = np.array([8.0, 6.0, 3.0, 2.0])  # of the links that move
 ARM_YAML = """\
 urdf: arm.urdf
 name_mot: [turn, lift, bend]
@@ -53,8 +57,8 @@ parametrisation:
 """
 
 
-def arm_at(q):
-    """Where the ball is and the potential energy of an arm with these joints (3,), by trigonometry alone."""
+def centres(q):
+    """Where the masses of the arm that move are with these joints (3,), and the ball, by trigonometry alone, (5, 3)."""
     turn, lift, bend = q
 
     def along(angle, x, z):  # a vector of the link, turned about y: x forward, z up
@@ -63,24 +67,21 @@ def arm_at(q):
     shoulder = np.array([0.1, 0.5])
     elbow = shoulder + along(lift, 0.5, 0)
     tool = elbow + along(lift + bend, 0.4, 0)
-    centres = [
-        (6.0, shoulder + along(lift, 0.2, 0.03)),
-        (3.0, elbow + along(lift + bend, 0.25, 0)),
-        (2.0, tool + along(lift + bend, 0, 0.1)),
-    ]
-    out, up = tool + along(lift + bend, 0, 0.15)
-    return np.array([np.cos(turn) * out, np.sin(turn) * out, up]), sum(G * mass * centre[1] for mass, centre in centres)
+    flat = [[0.05, 0.4], shoulder + along(lift, 0.2, 0.03), elbow + along(lift + bend, 0.25, 0)]
+    flat += [tool + along(lift + bend, 0, 0.1), tool + along(lift + bend, 0, 0.15)]
+    return np.array([[np.cos(turn) * x, np.sin(turn) * x, z] for x, z in flat])
+
+
+def arm_at(q):
+    """Where the ball is and the potential energy of the arm."""
+    places = centres(q)
+    return places[4], G * MASSES @ places[:4, 2]
 
 
 def five_bar_at(q):
-    """The same of the five-bar of the examples put upright, its two arms met by the intersection of two circles."""
-    motors = np.array([[-0.1, 0.0], [0.1, 0.0]])
-    elbows = motors + 0.2 * np.stack([np.cos(q), np.sin(q)], axis=1)
-    middle, apart = elbows.mean(axis=0), elbows[1] - elbows[0]
-    half = np.linalg.norm(apart) / 2
-    tip = middle + np.sqrt(0.3**2 - half**2) * np.array([-apart[1], apart[0]]) / (2 * half)
-    heights = [(motors[k, 1] + elbows[k, 1]) / 2 for k in (0, 1)] + [(elbows[k, 1] + tip[1]) / 2 for k in (0, 1)]
-    return np.array([*tip, 0.02]), sum(G * 0.2 * height for height in heights)
+    """The same of the five-bar of the examples put upright."""
+    tip, ends = by_hand(*q, 1), elbows(*q)
+    return np.array([*tip, 0.02]), G * 0.2 * sum(end[1] / 2 + (end[1] + tip[1]) / 2 for end in ends)
 
 
 def torques(at, q):
@@ -89,9 +90,13 @@ def torques(at, q):
     return np.array([[(at(row + step)[1] - at(row - step)[1]) / (2 * STEP) for step in steps] for row in q])
 
 
-def arm(folder):
+def columns(robot, q, context=None):
+    return np.concatenate(term_columns(robot, q, context), axis=2)[:, 0]
+
+
+def arm(folder, yaml=ARM_YAML):
     (folder / "arm.urdf").write_text(ARM)
-    (folder / "arm.yaml").write_text(ARM_YAML)
+    (folder / "arm.yaml").write_text(yaml)
     return calib.load(folder / "arm.yaml"), arm_at
 
 
@@ -120,10 +125,9 @@ def poses(robot, n, seed):
 def test_torques_are_the_slope_of_the_potential_energy(machine):
     robot, at = machine
     q = poses(robot, 12, 0)
-    columns = np.concatenate(term_columns(robot, q), axis=2)[:, 0]
     # differences of some 10 J by 1e-5 rad are good to 1e-9 N m, and their curvature to as much
-    assert np.allclose(columns, torques(at, q), rtol=0, atol=1e-6)
-    assert np.abs(columns).max() > 0.3
+    assert np.allclose(columns(robot, q), torques(at, q), rtol=0, atol=1e-6)
+    assert np.abs(columns(robot, q)).max() > 0.3
 
 
 def test_columns_agree_with_central_differences(machine):
@@ -131,7 +135,7 @@ def test_columns_agree_with_central_differences(machine):
     q = poses(robot, 6, 1)
     values = robot.values.copy()
     values[robot.coefficients] = 3e-4
-    assert_terms_move_positions_as_differences_say(robot.with_parameters(values), q)
+    assert_positions_move_as_differences_say(robot.with_parameters(values), q)
 
 
 def test_compliance_is_recovered_from_data_of_other_code(machine):
@@ -163,9 +167,7 @@ HALF, SOFT, ZERO = np.array([0, 4e-4, 3e-4]), np.array([0, -2e-5, -3e-5]), np.ar
 
 def played(folder, low, high):
     """A fit to 60 poses of the arm between these joint values, by other code: play, compliance and joint zeros."""
-    (folder / "arm.urdf").write_text(ARM)
-    (folder / "arm.yaml").write_text(ARM_YAML + PLAY)
-    robot, rng = calib.load(folder / "arm.yaml"), np.random.default_rng(1)
+    robot, rng = arm(folder, ARM_YAML + PLAY)[0], np.random.default_rng(1)
     q = rng.uniform(low, high, (60, 3))
     tau = torques(arm_at, q)
     points = np.array([arm_at(row)[0] for row in q + HALF * -tau / np.sqrt(tau**2 + KNEE**2) + SOFT * tau + ZERO])
@@ -199,58 +201,50 @@ def test_play_that_gravity_holds_on_one_side_is_a_zero_of_the_joint(tmp_path):
         assert std[f"{name}.ry"] > 0.8 * expected
 
 
-def loaded(robot, load, **changes):
-    """A robot with these changes of its description, and the conditions of visits that carry these masses."""
+def loaded(robot, load, q, **changes):
+    """A robot with these changes of its description, joint values, and conditions of visits that carry these masses."""
     robot = replace(robot, description=robot.description.model_copy(update=changes))
-    context = Context.neutral(len(load), len(robot.joint_names))
-    return robot, replace(context, load=load)
+    return robot, q, replace(Context.neutral(len(load), len(robot.joint_names)), load=load)
 
 
-def lifted(at, height, q):
+def lifted(height, q):
     """The torque of one kilogram at a point of this height, by central differences, (n, n_joints)."""
-    steps = STEP * np.eye(q.shape[1])
-    return np.array([[G * (height(row + e) - height(row - e)) / (2 * STEP) for e in steps] for row in q])
+    return torques(lambda row: (None, G * height(row)), q)
+
+
+@pytest.mark.parametrize(("make", "up"), [(arm, 2), (upright_five_bar, 1)])
+def test_a_payload_at_the_first_target_loads_the_joints(tmp_path, make, up):
+    robot, at = make(tmp_path)
+    q, load = poses(robot, 12, 4), np.linspace(0.0, 7.0, 12)
+    by_height = lifted(lambda row: at(row)[0][up], q)
+    assert np.allclose(columns(*loaded(robot, load, q)), torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
+    assert np.abs(by_height).max() > 0.3
 
 
 def test_a_payload_loads_the_joints_as_a_body_there_would(tmp_path):
-    robot, at = arm(tmp_path)
+    robot, _ = arm(tmp_path)
     q, load = poses(robot, 12, 4), np.linspace(0.0, 7.0, 12)
-    loaded_robot, context = loaded(robot, load)
-    columns = np.concatenate(term_columns(loaded_robot, q, context), axis=2)[:, 0]
-    by_height = lifted(at, lambda row: at(row)[0][2], q)  # at the first target
-    assert np.allclose(columns, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
+    held_up = columns(*loaded(robot, load, q))
     model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
     frame = model.frames[model.getFrameId("tool")]
     for k, row in enumerate(q):
         carrying = model.copy()
         place = frame.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.15]))
         carrying.appendBodyToJoint(frame.parentJoint, pin.Inertia(load[k], np.zeros(3), np.zeros((3, 3))), place)
-        assert np.allclose(columns[k], pin.computeGeneralizedGravity(carrying, carrying.createData(), row), atol=1e-9)
-
-
-def test_a_payload_loads_joints_through_a_loop(tmp_path):
-    robot, at = upright_five_bar(tmp_path)
-    q, load = poses(robot, 12, 5), np.linspace(0.0, 2.0, 12)
-    loaded_robot, context = loaded(robot, load)
-    columns = np.concatenate(term_columns(loaded_robot, q, context), axis=2)[:, 0]
-    by_height = lifted(at, lambda row: at(row)[0][1], q)
-    assert np.allclose(columns, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
-    assert np.abs(by_height).max() > 0.3
+        assert np.allclose(held_up[k], pin.computeGeneralizedGravity(carrying, carrying.createData(), row), atol=1e-9)
 
 
 def test_a_payload_hangs_where_the_description_says(tmp_path):
     robot, at = arm(tmp_path)
     q = poses(robot, 5, 6)
-    elbow, context = loaded(robot, np.full(5, 3.0), payload="fore")
-    result = np.concatenate(term_columns(elbow, q, context), axis=2)[:, 0] - torques(at, q)
-    by_height = lifted(at, lambda row: 0.5 - 0.5 * np.sin(row[1]), q)
-    assert np.allclose(result, 3.0 * by_height, rtol=0, atol=1e-6)
-    (tmp_path / "arm.yaml").write_text(ARM_YAML + "payload: fare\n")
-    with pytest.raises(calib.DescriptionError, match="payload: no link, joint or target 'fare'; did you mean 'fore'"):
-        calib.load(tmp_path / "arm.yaml")
-    (tmp_path / "arm.yaml").write_text(ARM_YAML + "payload: base\n")
-    with pytest.raises(calib.DescriptionError, match="payload: no motor moves 'base'"):
-        calib.load(tmp_path / "arm.yaml")
+    result = columns(*loaded(robot, np.full(5, 3.0), q, payload="fore")) - torques(at, q)
+    assert np.allclose(result, 3.0 * lifted(lambda row: 0.5 - 0.5 * np.sin(row[1]), q), rtol=0, atol=1e-6)
+    for word, said in (
+        ("fare", "payload: no link, joint or target 'fare'; did you mean 'fore'"),
+        ("base", "payload: no motor moves 'base'"),
+    ):
+        with pytest.raises(calib.DescriptionError, match=said):
+            arm(tmp_path, f"{ARM_YAML}payload: {word}\n")
 
 
 def test_compliance_is_recovered_from_a_file_with_a_payload_alone(tmp_path, run_calib):
@@ -263,10 +257,9 @@ def test_compliance_is_recovered_from_a_file_with_a_payload_alone(tmp_path, run_
     robot = calib.load(tmp_path / "arm.yaml")
     rng = np.random.default_rng(8)
     q, load = rng.uniform(-0.8, 0.8, (60, 3)), np.tile([0.0, 10.0], 30)
-    torque = load[:, None] * lifted(at, lambda row: at(row)[0][2], q)
+    torque = load[:, None] * lifted(lambda row: at(row)[0][2], q)
     points = np.array([at(row)[0] for row in q + [0.0, 6e-5, 9e-5] * torque]) + 1e-5 * rng.standard_normal((60, 3))
-    table = np.column_stack([q, points, load])
-    np.savetxt(tmp_path / "data.csv", table, delimiter=",", header=f"{HEADER},load [kg]", comments="")
+    write_table(tmp_path / "data.csv", f"{HEADER},load [kg]", q, points, load)
     run = run_calib("fit", tmp_path / "arm.yaml", tmp_path / "data.csv", "--no-pages", "--out", tmp_path / "out")
     assert run.code == 0, run.err
     calibrated = calib.load(tmp_path / "out")

@@ -5,11 +5,12 @@ import pytest
 
 import calib
 from calib.core.fitting.terms.candidate_terms import candidates
+from calib.core.fitting.terms.joint_curves import joint_curves
 from calib.core.robots.jacobian import linearise
 from calib.core.robots.terms.term import Context
 from calib.core.robots.terms.terms import parse_terms
 from calib.core.rows.observed import observe, predict_readings
-from tests.kind_checks import assert_terms_move_positions_as_differences_say
+from tests.kind_checks import assert_positions_move_as_differences_say
 from tests.project import EXAMPLES, ROOT, copied, write_table
 from tests.public_data import ur10_tracker
 from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
@@ -28,6 +29,7 @@ def five_bar(tmp_path):
         "{joint: all, term: gain}",
         "{joint: all, term: harmonics, orders: [1, 17]}",
         "{joint: all, term: backlash}",
+        "{joint: right_motor, term: coupling, driven_by: left_motor}",
     ]
     return with_terms(tmp_path, "five_bar.yaml", terms)
 
@@ -36,26 +38,25 @@ def near_home(robot, n, seed, reach=0.2):
     return robot.home + np.random.default_rng(seed).uniform(-reach, reach, (n, len(robot.home)))
 
 
-def test_without_coefficients_joints_are_where_they_are_told(five_bar):
-    q = near_home(five_bar, 5, 0)
-    assert np.array_equal(five_bar.assemble(q).actuated, q)
+ERRORS = {
+    "no coefficients": ({}, lambda left, right, side: (0 * left, 0 * right)),
+    "gain": ({"left_motor.gain": 2e-3}, lambda left, right, side: (2e-3 * left, 0 * right)),
+    "harmonics": (
+        {"right_motor.sin17": 3e-4, "right_motor.cos1": -1e-4},
+        lambda left, right, side: (0 * left, 3e-4 * np.sin(17 * right) - 1e-4 * np.cos(right)),
+    ),
+    "backlash": ({"left_motor.backlash": 1e-4}, lambda left, right, side: (1e-4 * side, 0 * right)),
+    "coupling": ({"right_motor.by_left_motor": 2e-3}, lambda left, right, side: (0 * left, 2e-3 * left)),
+}
 
 
-def test_a_gain_is_in_proportion_to_the_command(five_bar):
-    name = five_bar.joint_names[0]
-    robot = five_bar.with_parameters({f"{name}.gain": 2e-3})
-    q = near_home(robot, 4, 1)
-    expected = q.copy()
-    expected[:, 0] *= 1.002
-    assert np.allclose(robot.assemble(q).actuated, expected, rtol=0, atol=1e-15)
-
-
-def test_harmonics_are_sines_and_cosines_of_their_orders(five_bar):
-    name = five_bar.joint_names[1]
-    robot = five_bar.with_parameters({f"{name}.sin17": 3e-4, f"{name}.cos1": -1e-4})
-    q = near_home(robot, 6, 2)
-    error = 3e-4 * np.sin(17 * q[:, 1]) - 1e-4 * np.cos(q[:, 1])
-    assert np.allclose(robot.assemble(q).actuated[:, 1] - q[:, 1], error, rtol=0, atol=1e-15)
+@pytest.mark.parametrize("term", ERRORS)
+def test_joints_are_off_by_what_their_terms_say(five_bar, term):
+    values, error = ERRORS[term]
+    robot, q, side = five_bar.with_parameters(values), near_home(five_bar, 3, 1), np.array([1.0, -1.0, 0.0])
+    context = Context.from_conditions(np.column_stack([side, 0 * side]), {})
+    off = robot.assemble(q, context=context).actuated - q
+    assert np.allclose(off, np.stack(error(*q.T, side), axis=1), rtol=0, atol=1e-15)
     assert robot.assemble(q[:0]).actuated.shape == (0, 2)
 
 
@@ -71,25 +72,6 @@ def test_of_all_joints_a_period_is_for_the_prismatic_ones_and_a_curve_repeats_af
     error = robot.assemble(q).actuated[0] - q[0]
     rail_error = 2e-5 * np.sin(2 * np.pi * q[0, 0] / 5e-3) + 3e-5 * np.cos(2 * np.pi * 3 * q[0, 0] / (2 * 0.7))
     assert np.allclose(error, [rail_error, 1e-4 * np.sin(q[0, 1]), 0, 0, 0, 0], rtol=0, atol=1e-12)
-
-
-def test_backlash_follows_the_direction_of_approach(five_bar):
-    name = five_bar.joint_names[0]
-    robot = five_bar.with_parameters({f"{name}.backlash": 1e-4})
-    q = near_home(robot, 3, 3)
-    approach = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 0.0]])
-    result = robot.assemble(q, context=Context.from_conditions(approach, {})).actuated
-    assert np.allclose(result[:, 0] - q[:, 0], [1e-4, -1e-4, 0.0], rtol=0, atol=1e-15)
-
-
-def test_a_coupling_follows_the_command_of_the_other_joint(tmp_path):
-    first, second = calib.load(EXAMPLES / "five_bar.yaml").joint_names
-    robot = with_terms(tmp_path, "five_bar.yaml", [f"{{joint: {second}, term: coupling, driven_by: {first}}}"])
-    assert robot.parameters[-1].name == f"{second}.by_{first}"
-    robot = robot.with_parameters({f"{second}.by_{first}": 2e-3})
-    q = near_home(robot, 4, 4)
-    expected = q + np.column_stack([np.zeros(4), 2e-3 * q[:, 0]])
-    assert np.allclose(robot.assemble(q).actuated, expected, rtol=0, atol=1e-15)
 
 
 def test_a_temperature_counts_from_the_same_reference_in_every_file(tmp_path):
@@ -120,7 +102,7 @@ def test_derivatives_by_coefficients_agree_with_differences_through_the_loop(fiv
     robot = five_bar.with_parameters(values)
     q = near_home(robot, 7, 5)
     context = Context.from_conditions(np.sign(rng.standard_normal(q.shape)), {})
-    assert_terms_move_positions_as_differences_say(robot, q, context)
+    assert_positions_move_as_differences_say(robot, q, context)
 
 
 def test_readings_and_positions_have_the_same_derivatives(five_bar):
@@ -154,22 +136,15 @@ def test_bad_entries_are_named(tmp_path, term, message):
 
 @pytest.mark.quick(0)
 def test_a_curve_is_found_where_there_is_one_and_stays_flat_where_there_is_none(tmp_path):
-    robot = with_terms(
-        tmp_path, "arm.yaml", ["{joint: joint_2, term: curve, orders: 25}", "{joint: joint_4, term: curve, orders: 25}"]
-    )
+    curved = [f"{{joint: joint_{k}, term: curve, orders: 25}}" for k in (2, 4)]
+    robot, bare = with_terms(tmp_path, "arm.yaml", curved), calib.load(EXAMPLES / "arm.yaml")
     rng = np.random.default_rng(10)
     q = rng.uniform(-1.5, 1.5, (160, 6))
     gear = q.copy()
     gear[:, 1] += 4e-4 * np.sin(11 * q[:, 1] + 0.3)
-    bare = calib.load(EXAMPLES / "arm.yaml")
-    measured = bare.positions(gear)[:, 0] + 2e-5 * rng.standard_normal((160, 3))
-    fit = calib.fit(
-        robot,
-        calib.as_measurements(robot, q[:120], measured[:120]),
-        validation=calib.as_measurements(robot, q[120:], measured[120:]),
-    )
-    from calib.core.fitting.terms.joint_curves import joint_curves
-
+    data = calib.as_measurements(bare, q, bare.positions(gear)[:, 0] + 2e-5 * rng.standard_normal((160, 3)))
+    used, unused = data[np.arange(120)], data[np.arange(120, 160)]
+    fit, plain = (calib.fit(item, used, validation=unused) for item in (robot, bare))
     curves = {curve.joint: curve for curve in joint_curves(fit)}
     assert curves["joint_2"].rms == pytest.approx(4e-4 / np.sqrt(2), rel=0.15)
     assert curves["joint_4"].rms < 3e-5
@@ -177,11 +152,6 @@ def test_a_curve_is_found_where_there_is_one_and_stays_flat_where_there_is_none(
     true = 4e-4 * np.sin(11 * shown.command + 0.3)
     inside = np.abs(shown.error - shown.error.mean() - true + true.mean()) < 4 * shown.std + 2e-5
     assert np.mean(inside) > 0.95  # a constant is the joint's zero, which the origins have
-    plain = calib.fit(
-        bare,
-        calib.as_measurements(bare, q[:120], measured[:120]),
-        validation=calib.as_measurements(bare, q[120:], measured[120:]),
-    )
     assert fit.validation.table()["after"]["rms"] < 0.35 * plain.validation.table()["after"]["rms"]
 
 
@@ -228,9 +198,7 @@ def test_terms_that_count_turns_are_doubted_where_values_may_be_wrapped(first, d
     q = turned(first)
     fit = calib.fit(robot, noisy(robot, q, 4e-5, seed=1))
     words = [reason.text for reason in fit.verdict.reasons if reason.code == "turns_not_counted"]
-    wrong = (
-        "joint j1 lie within one turn, and the URDF states no limits. If these values were wrapped, j1.gain, j3.by_j1"
-    )
+    wrong = "j1 lie within one turn, and the URDF states no limits. If these values were wrapped, j1.gain, j3.by_j1"
     assert [wrong in text for text in words] == [True] * doubted
     run = run_calib("check", robot.path, write_table(tmp_path / "poses.csv", robot.joint_names, q))
     assert run.code == 0

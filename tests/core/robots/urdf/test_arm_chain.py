@@ -22,71 +22,77 @@ def beyond(name, kind, parent, child, length, *extra):
     return (name, kind, parent, child, f'<origin xyz="0 0 {length}"/>', *extra)
 
 
-def test_fingers_without_telling_names_are_left_out():
-    chain = chosen(*ARM, beyond("x", "prismatic", "l3", "p", 0.1), beyond("y", "prismatic", "l3", "q", 0.1))
-    assert (chain.target, chain.joints) == ("l3", ("j1", "j2", "j3"))
-    assert (chain.fingers, chain.branches, chain.others) == (("x", "y"), (), ("p", "q"))
-
-
-def test_fingers_with_several_joints_each_are_left_out():
-    fingers = [
-        beyond(f"{k}{n}", "revolute", "l3" if n == 0 else f"{k}{n - 1}_link", f"{k}{n}_link", 0.05)
-        for k in "abc"
+def rows_of(sides, parent, length):
+    """Three turning joints in a row on each side."""
+    return [
+        beyond(f"{side}{n}", "revolute", parent if n == 0 else f"{side}{n - 1}_l", f"{side}{n}_l", length)
+        for side in sides
         for n in range(3)
     ]
-    chain = chosen(*ARM, *fingers)
-    assert (chain.target, len(chain.fingers)) == ("l3", 9)
-    assert chain.others == ("a2_link", "b2_link", "c2_link")
 
 
-def test_a_frame_beyond_the_palm_is_the_end():
-    palm = (("f", "fixed", "l3", "palm"), ("t", "fixed", "palm", "tcp"), ("c", "fixed", "l3", "camera"))
-    chain = chosen(*ARM, *palm, beyond("x", "prismatic", "palm", "p", 0.1), beyond("y", "prismatic", "palm", "q", 0.1))
-    assert chain.target == "tcp"
+def pair(parent):
+    return [beyond(name, "prismatic", parent, end, 0.1) for name, end in ("xp", "yq")]
 
 
-def test_two_arms_on_a_torso_are_no_fingers():
-    arms = [
-        beyond(f"{side}{n}", "revolute", "torso" if n == 0 else f"{side}{n - 1}_l", f"{side}{n}_l", 0.3)
-        for side in ("left", "right")
-        for n in range(3)
-    ]
-    chain = chosen(
-        beyond("lift", "prismatic", "base", "torso", 0.8), *arms, beyond("neck", "revolute", "torso", "h", 0.3)
-    )
-    assert (chain.target, chain.joints) == ("left2_l", ("lift", "left0", "left1", "left2"))
-    assert chain.fingers == ()
-    assert chain.branches == ("right0", "right1", "right2", "neck")
-    assert chain.others == ("right2_l", "h")
+PALM = (("f", "fixed", "l3", "palm"), ("t", "fixed", "palm", "tcp"), ("c", "fixed", "l3", "camera"))
+WRIST = (beyond("j4", "revolute", "l3", "l4", 0.05), beyond("j5", "revolute", "l4", "l5", 0.2))
+TORSO = (beyond("lift", "prismatic", "base", "torso", 0.8), *rows_of(("left", "right"), "torso", 0.3))
+YAW = beyond("gripper_yaw", "revolute", "l3", "wrist", 0.05)
+OF_ARM, NINE = ("j1", "j2", "j3"), tuple(f"{side}{n}" for side in "abc" for n in range(3))
+CHAINS = {
+    "fingers without telling names are left out": (
+        (*ARM, *pair("l3")),
+        {"target": "l3", "joints": OF_ARM, "fingers": ("x", "y"), "branches": (), "others": ("p", "q")},
+    ),
+    "fingers with several joints each are left out": (
+        (*ARM, *rows_of("abc", "l3", 0.05)),
+        {"target": "l3", "joints": OF_ARM, "fingers": NINE, "others": ("a2_l", "b2_l", "c2_l")},
+    ),
+    "a frame beyond the palm is the end": ((*ARM, *PALM, *pair("palm")), {"target": "tcp"}),
+    "two arms on a torso are no fingers": (
+        (*TORSO, beyond("neck", "revolute", "torso", "h", 0.3)),
+        {
+            "target": "left2_l",
+            "joints": ("lift", "left0", "left1", "left2"),
+            "fingers": (),
+            "branches": ("right0", "right1", "right2", "neck"),
+            "others": ("right2_l", "h"),
+        },
+    ),
+    "a linkage beside a long arm does not make the arm a finger": (
+        (*ARM, beyond("parallel", "revolute", "l1", "rod", 0.4, '<mimic joint="j2"/>')),
+        {"joints": OF_ARM},
+    ),
+    "a wrist beside a camera that turns is no finger": (
+        (*ARM, *WRIST, beyond("pan", "revolute", "l3", "camera", 0.03)),
+        {"joints": (*OF_ARM, "j4", "j5")},
+    ),
+    "a single jaw is known by joint and link": (
+        (*ARM, beyond("gripper", "revolute", "l3", "jaw", 0.05)),
+        {"fingers": ("gripper",)},
+    ),
+    "and not by its joint alone": ((*ARM, YAW), {"joints": (*OF_ARM, "gripper_yaw")}),
+    "nor where it carries something": (
+        (*ARM, beyond("gripper_yaw", "revolute", "l3", "gripper", 0.05), ("f", "fixed", "gripper", "tool")),
+        {"joints": (*OF_ARM, "gripper_yaw")},
+    ),
+    "a robot that is a finger keeps all its joints": (
+        [(f"finger_joint_{k}", "revolute", f"finger_{k}", f"finger_{k + 1}") for k in range(3)],
+        {"joints": tuple(f"finger_joint_{k}" for k in range(3))},
+    ),
+    "stiff fingers are not the end": (
+        (*ARM, ("t", "fixed", "l3", "tool"), ("k", "fixed", "l3", "finger_tip"),
+         ("g", "fixed", "l3", "inner", '<mimic joint="j3"/>')),
+        {"target": "tool"},
+    ),
+}  # fmt: skip
 
 
-def test_a_linkage_beside_a_long_arm_does_not_make_the_arm_a_finger():
-    link = beyond("parallel", "revolute", "l1", "rod", 0.4, '<mimic joint="j2"/>')
-    assert chosen(*ARM, link).joints == ("j1", "j2", "j3")
-
-
-def test_a_wrist_beside_a_camera_that_turns_is_no_finger():
-    wrist = (beyond("j4", "revolute", "l3", "l4", 0.05), beyond("j5", "revolute", "l4", "l5", 0.2))
-    chain = chosen(*ARM, *wrist, beyond("pan", "revolute", "l3", "camera", 0.03))
-    assert chain.joints == ("j1", "j2", "j3", "j4", "j5")
-
-
-def test_a_single_jaw_is_known_by_joint_and_link_together():
-    assert chosen(*ARM, beyond("gripper", "revolute", "l3", "jaw", 0.05)).fingers == ("gripper",)
-    assert chosen(*ARM, beyond("gripper_yaw", "revolute", "l3", "wrist", 0.05)).joints[-1] == "gripper_yaw"
-    turning = (beyond("gripper_yaw", "revolute", "l3", "gripper", 0.05), ("f", "fixed", "gripper", "tool"))
-    assert chosen(*ARM, *turning).joints[-1] == "gripper_yaw"  # it carries something
-
-
-def test_a_robot_that_is_a_finger_keeps_all_its_joints():
-    joints = [(f"finger_joint_{k}", "revolute", f"finger_{k}", f"finger_{k + 1}") for k in range(3)]
-    assert len(chosen(*joints).joints) == 3
-
-
-def test_stiff_fingers_are_not_the_end():
-    fixed = ("g", "fixed", "l3", "inner", '<mimic joint="j3"/>')
-    chain = chosen(*ARM, ("t", "fixed", "l3", "tool"), ("k", "fixed", "l3", "finger_tip"), fixed)
-    assert chain.target == "tool"
+@pytest.mark.parametrize(("joints", "expected"), CHAINS.values(), ids=CHAINS)
+def test_which_joints_are_the_arm(joints, expected):
+    chain = chosen(*joints)
+    assert {name: getattr(chain, name) for name in expected} == expected
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,9 @@ def in_file(robot: calib.Robot, file_format: str, path: Path) -> Tip:
     if file_format == "ur-kinematics":
         return _ur_product(path, robot)
     if file_format == "joint-offsets":
-        return _with_zeros(path, robot)
+        zeros = joint_zeros(path)
+        nominal = urdf_links(robot.urdf.source)
+        return tip_of(nominal, robot, lambda name, value: zeros[name][0] * value + zeros[name][1])
     if file_format == "joint-tables":
         rows = _rows(path / "joint_tables.csv")
 
@@ -166,11 +168,10 @@ def _ur_product(path: Path, robot: calib.Robot) -> Tip:
     return lambda q: np.array([product(row) for row in q])
 
 
-def _with_zeros(path: Path, robot: calib.Robot) -> Tip:
+def joint_zeros(path: Path) -> dict[str, tuple[float, float]]:
+    """Sign and zero [rad or m] of each joint in a file of joint zeros."""
     per_unit = {"deg": np.pi / 180, "mm": 1e-3}
-    zeros = {row["joint"]: (float(row["sign"]), float(row["offset"]) * per_unit[row["unit"]]) for row in _rows(path)}
-    nominal = urdf_links(robot.urdf.source)
-    return tip_of(nominal, robot, lambda name, value: zeros[name][0] * value + zeros[name][1])
+    return {row["joint"]: (float(row["sign"]), float(row["offset"]) * per_unit[row["unit"]]) for row in _rows(path)}
 
 
 def _with_properties(path: Path, robot: calib.Robot) -> bytes:

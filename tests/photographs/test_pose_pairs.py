@@ -161,6 +161,8 @@ def test_pairs_are_read_as_people_keep_them(tmp_path, run_calib, form):
     assert result.code == 0, result.out + result.err
     data = json.loads((tmp_path / "he" / "hand_eye.json").read_text())
     assert data["camera_on"] == "tool"
+    errors = [pair["position_m"] + pair["rotation_rad"] for pair in data["pairs"]]
+    assert np.allclose(errors, np.zeros((10, 6)), rtol=0, atol=1e-7)
     assert np.allclose(data["camera"]["matrix"], CAMERA["tool"], atol=1e-8)
     assert np.allclose(np.loadtxt(tmp_path / "he" / "camera_matrix.txt"), CAMERA["tool"], atol=1e-8)
     assert "static_transform.sh" in result.out + result.err

@@ -191,10 +191,13 @@ def test_seven_heights_do_not_say_that_a_carriage_moves_too_far(folder):
         assert "joint_scaled" not in [reason.code for reason in reasons]
 
 
-def test_saved_rows_count_and_included_files_are_named(folder):
+def test_saved_rows_and_gears_count_and_included_files_are_named(folder):
     (folder / "saved.cfg").write_text(printer_cfg(behind=True))
     plain, saved = (read_printer(name, "klipper") for name in ("printer.cfg", "saved.cfg"))
     assert [row.places for row in plain.rows] == [row.places for row in saved.rows]
+    (folder / "geared.cfg").write_text(GOOD.replace("distance: 32", "distance: 96\ngear_ratio: 80:20, 3:4"))
+    geared = read_printer("geared.cfg", "klipper")
+    np.testing.assert_allclose(geared.rows[5].places, plain.rows[5].places, rtol=1e-12)
     (folder / "main.cfg").write_text("[include printer.cfg]\n")
     with pytest.raises(CalibrationError, match="it may be in a file that is included"):
         read_printer("main.cfg", "klipper")

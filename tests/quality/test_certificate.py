@@ -185,7 +185,9 @@ def test_the_digital_certificate_has_what_the_schema_wants_and_the_numbers_of_th
         if row["counts"]:
             assert float(_text(quantities[row["quantity"]], "si:real/si:value")) == row["contribution"]
     for parameter in known["parameters"]:
-        assert float(_text(quantities[parameter["name"]], "si:real/si:value")) == parameter["value_si"]
+        quantity, half = quantities[parameter["name"]], known["coverage_factor_of_parameters"] * parameter["std_si"]
+        assert float(_text(quantity, "si:real/si:value")) == parameter["value_si"]
+        assert float(_text(quantity, "si:real/si:expandedUnc/si:uncertainty")) == pytest.approx(half, rel=1e-12)
     (expanded,) = [each for name, each in quantities.items() if name.startswith("deviation of")]
     told = _text(expanded, "si:real/si:expandedUnc/si:uncertainty")
     assert float(told) == known["budget"]["expanded_uncertainty"]

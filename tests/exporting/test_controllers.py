@@ -35,6 +35,10 @@ UR_JOINTS = (
 
 @pytest.fixture
 def ur(tmp_path: Path) -> calib.Robot:
+    return ur_robot(tmp_path)
+
+
+def ur_robot(folder: Path) -> calib.Robot:
     """The joints of ur_description for a UR10e, with a prefix and a tool behind the flange."""
 
     def origin(xyz: str, rpy: str) -> str:
@@ -47,8 +51,8 @@ def ur(tmp_path: Path) -> calib.Robot:
     ]
     flange = ("left_wrist_3-flange", "fixed", "left_wrist_3_link", "left_flange", origin("0 0 0", f"0 -{HALF} -{HALF}"))
     tool = ("left_tool_mount", "fixed", "left_flange", "left_tool", origin("0.12 0.01 0.02", "0 0.1 0"))
-    (tmp_path / "ur.urdf").write_text(urdf_of(mount, *joints, flange, tool))
-    return described_ur(tmp_path / "ur.urdf", "left_", "left_tool, xyz: [0, 30 mm, 100 mm]", tmp_path)
+    (folder / "ur.urdf").write_text(urdf_of(mount, *joints, flange, tool))
+    return described_ur(folder / "ur.urdf", "left_", "left_tool, xyz: [0, 30 mm, 100 mm]", folder)
 
 
 def described_ur(urdf: Path, prefix: str, target: str, folder: Path) -> calib.Robot:

@@ -15,7 +15,7 @@ import calib
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.data.in_memory import as_poses
 from calib.core.data.measurement_files import read_poses
-from calib.motion.planner import check_move
+from calib.motion.planner import Planner, check_move
 from calib.motion.poses import surroundings
 from calib.motion.programs import LANGUAGES, Motion, write_program
 from calib.motion.route import plan_route
@@ -128,9 +128,22 @@ def test_no_contact_anywhere_on_a_route(route, n_poses):
     assert all(stop.clearance > 0.005 for stop in route.stops)
 
 
+PLATE = {"plate": ((0.5, 0.001, 0.5), (0.75, 0.0, 1.1))}
+
+
+@needs_ompl
+def test_a_way_that_is_searched_from_a_nearer_pose_begins_at_the_start(tmp_path):
+    robot = calib.load(_write(tmp_path, _obstacles("1 mm", PLATE)))
+    nodes = np.array([-0.7, -0.4, 0.5])[:, None] * np.eye(6)[0]  # the plate is at 0, and the second is nearer
+    planner = Planner(surroundings(robot).scene, nodes, robot.joint_limits, 0)
+    assert len(planner.free_path(0, 1)) == 2  # from now on this move is known to be free
+    way = planner.free_path(0, 2)
+    np.testing.assert_array_equal(way[[0, -1]], nodes[[0, 2]])
+    assert not any(planner.move(one, other).hit for one, other in itertools.pairwise(way))
+
+
 def test_a_plate_between_two_free_poses_is_not_missed(tmp_path):
-    plate = {"plate": ((0.5, 0.001, 0.5), (0.75, 0.0, 1.1))}
-    scene = surroundings(calib.load(_write(tmp_path, _obstacles("1 mm", plate)))).scene
+    scene = surroundings(calib.load(_write(tmp_path, _obstacles("1 mm", PLATE)))).scene
     one, other = np.array([-0.5, 0, 0, 0, 0, 0]), np.array([0.5, 0, 0, 0, 0, 0])
     assert scene.hits(np.array([one, other])) == ("", "")
     assert "plate" in check_move(scene, one, other).hit

@@ -1,5 +1,6 @@
 """Where things lie that tests read, and files that they write."""
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -13,7 +14,7 @@ SHARED = ROOT.parent / "shared" / "data"
 
 def copied(folder: Path, source: Path, *edits: tuple[str, str], more: str = "") -> Path:
     """Write a description into a folder, its URDF where it was, with edits (old, new) and more; return its path."""
-    text = source.read_text().replace("urdf: ", f"urdf: {source.parent}/", 1)
+    text = re.sub(r'(?m)^urdf: "?([^"\n]+)"?', rf"urdf: {source.parent}/\1", source.read_text(), count=1)
     for old, new in edits:
         assert old in text, old
         text = text.replace(old, new)

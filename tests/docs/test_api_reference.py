@@ -1,11 +1,16 @@
-"""The Python reference has every public name once, and the derivations that pages cite."""
+"""The Python reference has every public name once, and derivations that pages cite; examples in docstrings run."""
 
+import doctest
 import importlib
 
 import api_reference
 import pytest
 from api_reference import PACKAGES, by_task, cited, navigation, pages
 from snippets import ROOT
+
+WITH_EXAMPLES = [
+    name for package in PACKAGES for name in api_reference.modules(package) if ">>>" in api_reference.source(name)
+]
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -46,3 +51,14 @@ def _paths(entry):
         return [entry]
     parts = entry.values() if isinstance(entry, dict) else entry
     return [path for part in parts for path in _paths(part)]
+
+
+def test_there_are_examples():
+    assert len(WITH_EXAMPLES) >= 4
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_the_examples_in_docstrings_print_what_they_say(name):
+    outcome = doctest.testmod(importlib.import_module(name))
+    assert outcome.attempted > 0
+    assert outcome.failed == 0

@@ -1,19 +1,38 @@
-"""The picture of the architecture is that of the code."""
+"""The picture of the architecture is that of the code, and packages know nothing of those above."""
 
 import ast
 import importlib
-import importlib.util
+import re
 import subprocess
 import sys
 
 import architecture
 import pytest
-from architecture import CAPABILITIES, CORE, FRONT, ROOMS, SHARED, imported, modules, room_of
+from architecture import CAPABILITIES, CORE, FRONT, ROOMS, ROOT, SHARED, imported, modules, room_of
 
 import calib
 from calib.capabilities import ENTRY_POINTS
 
-CONTRIBUTING = (architecture.ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+
+@pytest.mark.parametrize(
+    ("files", "above"),
+    [("calib/**/*.py", "viz"), ("viz/**/*.py", "medrue")]
+    + [
+        (f"medrue/{name}.py", "calib|pinocchio")  # the closed form shares no code with the engine
+        for name in ("closed_form", "closed_form_inverse", "rotations", "paper_tables", "workspace")
+    ],
+)
+def test_files_import_nothing_from_packages_above(files, above):
+    paths = list(ROOT.glob(files))
+    assert paths
+    for path in paths:
+        assert not re.search(rf"^\s*(from|import) ({above})\b", path.read_text(), re.MULTILINE), path
+
+
+def test_the_engine_names_no_robot():
+    for path in (ROOT / "calib").rglob("*.py"):
+        if path.name != "version.py":  # names the distribution
+            assert "medrue" not in path.read_text().lower(), path
 
 
 def test_every_module_is_in_one_room_of_the_picture():
@@ -65,30 +84,35 @@ def test_names_at_the_front_door_are_those_that_type_checkers_see():
     assert sorted(calib.__all__) == calib.__all__
     for name in calib.__all__:
         assert getattr(calib, name).__name__ == name
-    seen = ast.parse((architecture.ROOT / "calib" / "__init__.py").read_text(encoding="utf-8"))
+    seen = ast.parse((ROOT / "calib" / "__init__.py").read_text(encoding="utf-8"))
     for node in ast.walk(seen):
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("calib."):
             for alias in node.names:
                 assert getattr(importlib.import_module(str(node.module)), alias.name) is getattr(calib, alias.name)
 
 
-def test_the_list_of_commands_loads_no_science():
-    check = (
-        "import sys\nfrom calib.cli import group\n"
-        "group.main(['--help'], prog_name='calib', standalone_mode=False)\n"
-        "print([m for m in ('numpy', 'scipy', 'pinocchio', 'pydantic') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, cwd=architecture.ROOT)
+def assert_loads_none(code, modules):
+    """Run code in a process of its own, which loads none of some modules; return the lines that it prints."""
+    check = f"{code}\nimport sys\nprint([name for name in {modules} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, cwd=ROOT, check=True)
     *page, loaded = done.stdout.splitlines()
-    assert (loaded, done.stderr) == ("[]", "")
+    assert loaded == "[]"
+    return page, done.stderr
+
+
+def program(*arguments):
+    return f"from calib.cli import group\ngroup.main({arguments}, prog_name='calib', standalone_mode=False)"
+
+
+def test_the_list_of_commands_loads_no_science():
+    page, errors = assert_loads_none(program("--help"), ("numpy", "scipy", "pinocchio", "pydantic"))
+    assert errors == ""
     assert {line.split()[0] for line in page if line.startswith("  ")} >= {"fit", "check", "view", "watch"}
 
 
 def test_parts_of_scipy_are_loaded_at_first_use():
     parts = ("scipy.spatial", "scipy.sparse", "scipy.optimize", "scipy.stats")
-    check = f"import sys, calib.core.commands.fit\nprint([part for part in {parts} if part in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, cwd=architecture.ROOT)
-    assert (done.stdout, done.stderr) == ("[]\n", "")
+    assert assert_loads_none("import calib.core.commands.fit", parts) == ([], "")
 
 
 def test_no_modules_import_each_other_in_a_circle():
@@ -100,8 +124,9 @@ def test_a_circle_is_found_where_there_is_one():
 
 
 def test_the_contributors_guide_has_a_paragraph_for_each_room():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     for room in ROOMS:
-        assert f"**{room.name}.**" in CONTRIBUTING
+        assert f"**{room.name}.**" in text
 
 
 @pytest.mark.quick(0)
@@ -110,28 +135,9 @@ def test_a_fit_with_its_pages_loads_nothing_that_other_commands_need(tmp_path):
 
     Nor does it load what only an export, or a robot with a fleet, needs.
     """
-    told = [
-        "fit",
-        "docs/examples/five_bar.yaml",
-        "docs/examples/five_bar_simulated.csv",
-        "--out",
-        str(tmp_path / "out"),
-    ]
     heavy = ("scipy.stats", "trimesh", "meshcat", "IPython", "urllib.request", "ssl")
-    heavy += (
-        "calib.exporting.formats",
-        "calib.printers.formats",
-        "calib.exporting.functions.facts",
-        "calib.exporting.functions.c_text",
-    )
-    heavy += ("calib.fleets.contradicted_prior", "calib.fleets.hierarchy")
-    assert all(importlib.util.find_spec(name) for name in heavy if name.startswith("calib"))
-    check = (
-        "import sys\nfrom calib.cli import group\n"
-        f"group.main({told}, standalone_mode=False)\n"
-        f"print([name for name in {heavy} if name in sys.modules], file=sys.stderr)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", check], cwd=architecture.ROOT, capture_output=True, text=True, check=True
-    )
-    assert done.stderr.splitlines()[-1] == "[]"
+    own = ("exporting.formats", "printers.formats", "exporting.functions.facts", "exporting.functions.c_text")
+    own += ("fleets.contradicted_prior", "fleets.hierarchy")
+    assert set(own) <= modules().keys()
+    told = ("docs/examples/five_bar.yaml", "docs/examples/five_bar_simulated.csv", "--out", str(tmp_path / "out"))
+    assert_loads_none(program("fit", *told), (*heavy, *(f"calib.{name}" for name in own)))

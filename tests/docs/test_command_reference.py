@@ -4,13 +4,13 @@ import re
 import shlex
 
 import click
-import command_reference
 from click.testing import CliRunner
 from command_reference import EXAMPLES, WIDTH, commands, page, programs
 
 
 def test_every_command_is_on_the_page_with_its_help():
     text = page()
+    assert [program.name for program in programs()] == ["calib", "medrue"]
     names = [name for name, _, _ in commands()]
     assert {"calib", "calib fit", "calib check", "calib select", "medrue study"} <= set(names)
     for name in names:
@@ -35,8 +35,3 @@ def test_every_command_has_an_example_that_its_options_understand():
         assert f"{program} {word}" == name
         with command.make_context(word, arguments, parent=context.parent) as parsed:
             assert not parsed.args
-
-
-def test_the_page_has_a_section_for_each_installed_program():
-    assert [program.name for program in programs()] == ["calib", "medrue"]
-    assert command_reference.page().count("## ") >= 2

@@ -1,4 +1,4 @@
-"""Every figure of the pages is made by a command, and none is left over."""
+"""Every figure of the pages is made by a command, and none is left over. Taking pictures is tested in tests/browser."""
 
 import re
 
@@ -7,6 +7,8 @@ import make_pictures
 import pytest
 import screenshots
 from snippets import DOCS, ROOT
+
+from calib.core.base.errors import InputError
 
 OF_OTHERS = {"watch_replay", "ur10", "ur10_dark", "comparison"}
 """Drawn by docs/site/watch_replay.py, make_poster.py and tests/code_comparison from measurements of others."""
@@ -52,3 +54,16 @@ def test_a_figure_is_drawn(name):
     texts = [re.findall(r">([A-Za-z][^<>]{3,})</text>", svg) for svg in (drawn, shipped)]
     assert texts[0] == texts[1], "run docs/site/make_figures.py"
     assert "$" not in drawn, "mathematics is written out as it stands"
+
+
+def test_a_folder_without_pages_is_an_error(tmp_path):
+    pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra 'browser')")
+    with pytest.raises(InputError, match=r"has no viewer\.html"):
+        screenshots.take(tmp_path)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_computer_without_chromium_is_told_what_to_install(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(InputError, match="install the package 'chromium'"):
+        screenshots.chromium()

@@ -25,6 +25,18 @@ FIGURES = DOCS / "figures" / "paper"
 PAGE = (DOCS / "paper.md").read_text(encoding="utf-8")
 
 
+def _place(source: str) -> str:
+    return re.search(rf"<!-- begin {source} -->\n(.*?)<!-- end -->", PAGE, re.DOTALL)[1]
+
+
+def _rows(source: str) -> dict[str, dict[str, str]]:
+    """Rows of a table of the page, by their first cell."""
+    header, _, *lines = [
+        [cell.strip() for cell in line.split("|")[1:-1]] for line in _place(source).strip().splitlines()
+    ]
+    return {line[0]: dict(zip(header, line, strict=True)) for line in lines}
+
+
 def test_every_place_is_filled():
     places = re.findall(r"<!-- begin (\S+) -->\n(.*?)<!-- end -->", PAGE, re.DOTALL)
     assert len(places) >= 6
@@ -34,13 +46,10 @@ def test_every_place_is_filled():
 
 @pytest.mark.parametrize(("place", "number"), [("study/table2.csv", 2), ("experiment/table4.csv", 4)])
 def test_the_rows_of_the_paper_have_its_printed_values(place, number):
-    content = re.search(rf"<!-- begin {place} -->(.*?)<!-- end -->", PAGE, re.DOTALL)[1]
     with (ROOT / "medrue" / "paper" / f"table{number}.csv").open() as file:
         printed = {row["error_mm"]: row for row in csv.DictReader(file)}
-    header = [cell.strip() for cell in content.strip().splitlines()[0].split("|")[1:-1]]
     for kind, values in printed.items():
-        line = next(line for line in content.splitlines() if line.startswith(f"| {kind}, paper"))
-        row = dict(zip(header, (cell.strip() for cell in line.split("|")[1:-1]), strict=True))
+        (row,) = (row for name, row in _rows(place).items() if name.startswith(f"{kind}, paper"))
         for name, value in values.items():
             if name != "error_mm":
                 assert float(row[name]) == pytest.approx(float(value), abs=5e-4), (kind, name)
@@ -56,18 +65,6 @@ def test_a_csv_becomes_a_table(tmp_path):
     assert make_paper_page.table(tmp_path / "t.csv") == (
         "| error [mm] | before | O1 |\n|---|---:|---:|\n| mean, paper | 11.474 | 0.0140 |\n| n | 84 |  |\n"
     )
-
-
-def _place(source: str) -> str:
-    return re.search(rf"<!-- begin {source} -->\n(.*?)<!-- end -->", PAGE, re.DOTALL)[1]
-
-
-def _rows(source: str) -> dict[str, dict[str, str]]:
-    """Rows of a table of the page, by their first cell."""
-    header, _, *lines = [
-        [cell.strip() for cell in line.split("|")[1:-1]] for line in _place(source).strip().splitlines()
-    ]
-    return {line[0]: dict(zip(header, line, strict=True)) for line in lines}
 
 
 def test_the_workspace_is_told_as_it_is():

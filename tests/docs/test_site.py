@@ -6,6 +6,8 @@ import pytest
 import yaml
 from snippets import DOCS, ROOT
 
+from calib.core.robots.description import BaseSection, Description, OriginSection, TargetSection
+
 
 @pytest.fixture
 def formulas():
@@ -56,6 +58,13 @@ def test_grouped_arguments_become_one_entry_each():
         "Do it.\n\nArgs:\n    low: Limits,\n        both [m].\n    high: Limits,\n        both [m].\n    other: More.\n"
     )
     assert griffe
+
+
+def test_every_key_is_on_the_page_of_the_robot_description():
+    page = (DOCS / "robot_description.md").read_text()
+    for section in (Description, BaseSection, TargetSection, OriginSection):
+        for key in section.model_fields:
+            assert re.search(rf"`[^`]*\b{key}\b[^`]*`", page), f"{section.__name__}.{key}"
 
 
 def test_every_page_is_in_the_navigation():

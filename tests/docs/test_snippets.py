@@ -138,11 +138,15 @@ def test_refreshing_keeps_the_dots_and_takes_the_new_numbers():
         refreshed("...\ngone 1\n", "x\n")
 
 
-def test_a_failing_snippet_is_an_error_with_page_and_line(tmp_path, monkeypatch):
+@pytest.fixture
+def page(tmp_path, monkeypatch):
     monkeypatch.setattr(snippets, "ROOT", tmp_path)
     (tmp_path / "urdf").mkdir()
     (tmp_path / "docs").mkdir()
-    page = tmp_path / "page.md"
+    return tmp_path / "page.md"
+
+
+def test_a_failing_snippet_is_an_error_with_page_and_line(page):
     for text, message in (
         ("# Page\n\n```python\n1 / 0\n```\n", r"page.md, line 3: fails:[\s\S]*ZeroDivisionError"),
         ("```sh\nfalse\n```\n", "page.md, line 1: `false` ended with exit code 1"),
@@ -153,11 +157,7 @@ def test_a_failing_snippet_is_an_error_with_page_and_line(tmp_path, monkeypatch)
             run_page(page)
 
 
-def test_a_refreshed_page_passes(tmp_path, monkeypatch):
-    monkeypatch.setattr(snippets, "ROOT", tmp_path)
-    (tmp_path / "urdf").mkdir()
-    (tmp_path / "docs").mkdir()
-    page = tmp_path / "page.md"
+def test_a_refreshed_page_passes(page):
     page.write_text('```sh\necho 1\n```\n\n```text title="Output"\nold\n```\n\nEnd.\n')
     run_page(page, write=True)
     assert page.read_text() == '```sh\necho 1\n```\n\n```text title="Output"\n1\n```\n\nEnd.\n'

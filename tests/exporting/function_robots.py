@@ -19,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import calib
 from calib.core.robots import kinematics
@@ -142,10 +143,20 @@ def imported(path):
 
 
 def exported(robot, language, folder):
-    """The functions of a robot as a module of Python; of C, as `Compiled`."""
-    path = folder / ("robot.h" if language == "c" else f"robot_{language}.py")
+    """The functions of a robot as a module of Python."""
+    path = folder / f"robot_{language}.py"
     calib.export(robot, path, language)
-    return Compiled(robot, path) if language == "c" else imported(path)
+    return imported(path)
+
+
+def functions_of(robot, language, folder):
+    """The functions of a robot in numpy or C, called alike with commands, context and tool."""
+    if language == "numpy":
+        return Numpy(exported(robot, language, folder))
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+    calib.export(robot, folder / "robot.h", "c")
+    return Compiled(robot, folder / "robot.h")
 
 
 def by_name(functions, context):
@@ -155,8 +166,24 @@ def by_name(functions, context):
     return {name: told[name] for name in functions.CONDITIONS}
 
 
+class Numpy:
+    """A module of numpy."""
+
+    def __init__(self, module):
+        self.module, self.base = module, np.array(module.BASE)
+
+    def forward(self, q, context, tool=0):
+        return self.module.forward(q, tool, **by_name(self.module, context))
+
+    def jacobian(self, q, context):
+        return self.module.jacobian(q, **by_name(self.module, context))
+
+    def inverse(self, poses, start, context, use=(1, 1, 1, 1, 1, 1)):
+        return self.module.inverse(poses, start, use=use, **by_name(self.module, context))
+
+
 class Compiled:
-    """A file of C, compiled with all warnings, called as the functions of Python are."""
+    """A file of C, compiled with all warnings."""
 
     def __init__(self, robot, path):
         self.n = len(robot.joint_names)
@@ -166,10 +193,11 @@ class Compiled:
         subprocess.run(command, cwd=path.parent, check=True)
         self.compiled = ctypes.CDLL(str(path.parent / "doors.so"))
         self.compiled.base_of.restype = ctypes.POINTER(ctypes.c_double)
+        self.base = np.ctypeslib.as_array(self.compiled.base_of(), (16,))
 
     def forward(self, q, context, tool=0):
         given, poses = self._given(context), np.empty((len(q), 4, 4))
-        self.closed = self.compiled.poses_of(ctypes.c_size_t(len(q)), _at(q), _at(given), tool, _at(poses))
+        self.compiled.poses_of(ctypes.c_size_t(len(q)), _at(q), _at(given), tool, _at(poses))
         return poses
 
     def jacobian(self, q, context):
@@ -181,9 +209,7 @@ class Compiled:
     def inverse(self, poses, start, context, use=(1, 1, 1, 1, 1, 1)):
         given, commands, use = self._given(context), np.empty((len(poses), self.n)), (ctypes.c_int * 6)(*use)
         poses, start = np.ascontiguousarray(poses), np.ascontiguousarray(start)
-        for pose, given_row, here, q in zip(
-            np.ascontiguousarray(poses), given, np.ascontiguousarray(start), commands, strict=True
-        ):
+        for pose, given_row, here, q in zip(poses, given, start, commands, strict=True):
             self.compiled.commands_of(_at(pose), _at(here), _at(given_row), use, _at(q))
         return commands
 
@@ -214,25 +240,16 @@ def _figures(name, robot, folder, n=10_000):
     seconds = {"calib": time.perf_counter() - started}
     print(f"{name}: {closed.sum()} of {n} poses close")
     for language in ("numpy", "c"):
-        functions = exported(robot, language, folder)
-        given = {} if language == "c" else by_name(functions, context)
-        poses = functions.forward(q, context) if language == "c" else functions.forward(q, **given)
-        called = (context.select(timed),) if language == "c" else ()
-        by_keyword = {key: value[timed] for key, value in given.items()}
+        functions, conditions = functions_of(robot, language, folder), context.select(timed)
+        poses = functions.forward(q, context)
         started = time.perf_counter()
-        functions.forward(q[timed], *called, **by_keyword)
+        functions.forward(q[timed], conditions)
         seconds[language] = time.perf_counter() - started
         same = np.array_equal(np.isfinite(poses[:, 0, 0]), closed)
         apart = np.nan_to_num(np.abs(poses - truth))
         some = np.flatnonzero(closed)[:500]
-        start = near(robot, q[some])
-        if language == "c":
-            back = functions.inverse(poses[some], start, context.select(some))
-            there = functions.forward(back, context.select(some))
-        else:
-            given = {key: value[some] for key, value in given.items()}
-            back = functions.inverse(poses[some], start, **given)
-            there = functions.forward(back, **given)
+        back = functions.inverse(poses[some], near(robot, q[some]), context.select(some))
+        there = functions.forward(back, context.select(some))
         solved = np.isfinite(back[:, 0])
         missed = np.abs(there - poses[some])[solved].max()
         print(

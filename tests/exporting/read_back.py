@@ -12,13 +12,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
-import pytest
 import yaml
 from scipy.optimize import fsolve, least_squares
 from scipy.spatial.transform import Rotation
 
 import calib
 from calib.core.base.units import quantity
+from tests.interop.simulators import MuJoCo
 
 Links = Callable[[dict[str, float], str], np.ndarray]
 """Pose of a link in the root link, (4, 4), at values of all joints."""
@@ -35,24 +35,6 @@ def urdf_links(source: bytes) -> Links:
     def pose(values: dict[str, float], link: str) -> np.ndarray:
         pin.framesForwardKinematics(model, data, np.array([values[name] for name in list(model.names)[1:]]))
         return data.oMf[model.getFrameId(link)].homogeneous
-
-    return pose
-
-
-def mjcf_links(path: Path) -> Links:
-    """The links of an MJCF, by MuJoCo."""
-    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra 'mujoco')")
-
-    model = mujoco.MjModel.from_xml_path(str(path))
-    data = mujoco.MjData(model)
-
-    def pose(values: dict[str, float], link: str) -> np.ndarray:
-        for name, value in values.items():
-            data.qpos[model.joint(name).qposadr[0]] = value
-        mujoco.mj_kinematics(model, data)
-        body, result = data.body(link), np.eye(4)
-        result[:3, :3], result[:3, 3] = body.xmat.reshape(3, 3), body.xpos
-        return result
 
     return pose
 
@@ -84,13 +66,15 @@ def tip_of(links: Links, robot: calib.Robot, joint: Callable[[str, float], float
 def in_file(robot: calib.Robot, file_format: str, path: Path) -> Tip:
     """The robot that an exported file gives."""
     if file_format == "mjcf":
-        return tip_of(mjcf_links(path), robot)
+        return tip_of(MuJoCo(path).at, robot)
     if file_format in ("dh", "mdh"):
         return _product_of_rows(path)
     if file_format == "ur-kinematics":
         return _ur_product(path, robot)
     if file_format == "joint-offsets":
-        return _with_zeros(path, robot)
+        zeros = joint_zeros(path)
+        nominal = urdf_links(robot.urdf.source)
+        return tip_of(nominal, robot, lambda name, value: zeros[name][0] * value + zeros[name][1])
     if file_format == "joint-tables":
         rows = _rows(path / "joint_tables.csv")
 
@@ -166,11 +150,10 @@ def _ur_product(path: Path, robot: calib.Robot) -> Tip:
     return lambda q: np.array([product(row) for row in q])
 
 
-def _with_zeros(path: Path, robot: calib.Robot) -> Tip:
+def joint_zeros(path: Path) -> dict[str, tuple[float, float]]:
+    """Sign and zero [rad or m] of each joint in a file of joint zeros."""
     per_unit = {"deg": np.pi / 180, "mm": 1e-3}
-    zeros = {row["joint"]: (float(row["sign"]), float(row["offset"]) * per_unit[row["unit"]]) for row in _rows(path)}
-    nominal = urdf_links(robot.urdf.source)
-    return tip_of(nominal, robot, lambda name, value: zeros[name][0] * value + zeros[name][1])
+    return {row["joint"]: (float(row["sign"]), float(row["offset"]) * per_unit[row["unit"]]) for row in _rows(path)}
 
 
 def _with_properties(path: Path, robot: calib.Robot) -> bytes:

@@ -40,6 +40,13 @@ def text_of(numbers, separator=","):
     return "".join(separator.join(repr(float(x)) for x in row) + "\n" for row in numbers)
 
 
+def joined(folder, robot, content, name="points.txt"):
+    """Joint values in one file, joined with content of another."""
+    (folder / "joints.csv").write_text("turn,slide,wrist\n" + text_of(JOINTS))
+    (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    return calib.read_measurements([folder / "joints.csv", folder / name], robot)
+
+
 def check(data, robot):
     assert np.allclose(data.joints, JOINTS, rtol=0, atol=1e-12)
     assert np.allclose(data.points(robot)[:, 0], POINTS, rtol=0, atol=1e-12)
@@ -135,37 +142,32 @@ FARO = """"Feature","Nominal X","Nominal Y","Nominal Z","Actual X (mm)","Actual 
 )
 def test_exports_of_instruments_are_read_row_by_row(tmp_path, arm, content, caplog):
     robot = arm("join: rows")
-    (tmp_path / "joints.csv").write_text("turn,slide,wrist\n" + text_of(JOINTS))
-    (tmp_path / "points.txt").write_text(content)
-    data = calib.read_measurements([tmp_path / "joints.csv", tmp_path / "points.txt"], robot)
-    check(data, robot)
+    check(joined(tmp_path, robot, content), robot)
     assert "read as" in caplog.text
     assert "joined row by row with" in caplog.text
     short = "\n".join(content.splitlines()[: -3 if content is POLYWORKS else -1])
-    (tmp_path / "fewer.txt").write_text(short)
     with pytest.raises(calib.DataError, match=r"has 2 rows, and .* has 3; 'join: rows' needs the same number"):
-        calib.read_measurements([tmp_path / "joints.csv", tmp_path / "fewer.txt"], robot)
+        joined(tmp_path, robot, short)
     with pytest.raises(calib.DataError, match=r"fewer.txt.*(no file with joint values has a pose 'p1'|join: rows, or)"):
-        calib.read_measurements([tmp_path / "joints.csv", tmp_path / "fewer.txt"], arm())
+        joined(tmp_path, arm(), short, "fewer.txt")
 
 
-def test_a_report_without_whole_points_is_one_line(tmp_path, arm):
-    (tmp_path / "joints.csv").write_text("turn,slide,wrist\n" + text_of(JOINTS))
-    for content, message in (
-        (FARO.splitlines()[0], "has no measured points below its header"),
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (FARO.splitlines()[0] + "\n", "has no measured points below its header"),
         (POLYWORKS.replace("p2\tX", "p2\tDiameter"), "point 'p2' lacks a measured X, Y or Z"),
-    ):
-        (tmp_path / "points.txt").write_text(content + "\n")
-        with pytest.raises(calib.DataError, match=message):
-            calib.read_measurements([tmp_path / "joints.csv", tmp_path / "points.txt"], arm("join: rows"))
+    ],
+)
+def test_a_report_without_whole_points_is_one_line(tmp_path, arm, content, message):
+    with pytest.raises(calib.DataError, match=message):
+        joined(tmp_path, arm("join: rows"), content)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "latin-1"])
 def test_u95_is_the_noise_of_each_row(tmp_path, arm, encoding):
-    robot = arm("join: rows")
-    (tmp_path / "joints.csv").write_text("turn,slide,wrist\n" + text_of(JOINTS))
-    (tmp_path / "p.txt").write_bytes(U95.replace("Name", "Name (20 °C)").encode(encoding))
-    (readings,) = calib.read_measurements([tmp_path / "joints.csv", tmp_path / "p.txt"], robot).readings.values()
+    content = U95.replace("Name", "Name (20 °C)").encode(encoding)
+    (readings,) = joined(tmp_path, arm("join: rows"), content).readings.values()
     std = np.sqrt(np.diagonal(readings.covariance, axis1=1, axis2=2))
     assert np.allclose(std, np.array([[0.02e-3], [0.03e-3], [0.04e-3]]) * np.ones(3))
 
@@ -200,10 +202,8 @@ def test_what_savetxt_writes_is_read(tmp_path, arm):
 def test_points_without_a_header_are_read_by_the_numbers_of_their_columns(tmp_path, arm, row):
     first = next(k for k, cell in enumerate(row.replace('"p 1"', "p").replace(",", " ").split()) if cell == "{}") + 1
     named = ", ".join(f'"{first + k}": "tool_{axis} [mm]"' for k, axis in enumerate("xyz"))
-    (tmp_path / "points.txt").write_text("".join(row.format(*(1000 * point)) + "\n" for point in POINTS))
-    (tmp_path / "joints.csv").write_text("turn,slide,wrist\n" + text_of(JOINTS))
     robot = arm("join: rows", f"columns: {{{named}}}")
-    check(calib.read_measurements([tmp_path / "joints.csv", tmp_path / "points.txt"], robot), robot)
+    check(joined(tmp_path, robot, "".join(row.format(*(1000 * point)) + "\n" for point in POINTS)), robot)
     with pytest.raises(calib.DataError, match="write a line with the names of the columns above them"):
         read_table(tmp_path / "points.txt")
     (tmp_path / "named.csv").write_text("pose,1,2,3\np1,510,120,330\n")
@@ -231,12 +231,10 @@ def test_a_second_table_in_a_file_is_named_and_heads_without_labels_are_known(tm
 
 def test_names_and_numbers_may_be_parted_by_blanks(tmp_path, arm):
     names, numbers = "turn slide wrist tool_x tool_y tool_z\n", text_of(rows(), " ")
-    (tmp_path / "blanks.txt").write_text(names.replace("_x", "_x  ") + numbers)
-    check(calib.read_measurements(tmp_path / "blanks.txt", arm()), arm())
-    (tmp_path / "named.txt").write_text(
-        "pose " + names + "".join(f"p{k} {n}\n" for k, n in enumerate(numbers.split("\n")[:-1]))
-    )
-    check(calib.read_measurements(tmp_path / "named.txt", arm()), arm())
+    named = "".join(f"p{k} {line}\n" for k, line in enumerate(numbers.splitlines()))
+    for text in (names.replace("_x", "_x  ") + numbers, f"pose {names}{named}"):
+        (tmp_path / "blanks.txt").write_text(text)
+        check(calib.read_measurements(tmp_path / "blanks.txt", arm()), arm())
 
 
 TRC = (
@@ -257,14 +255,12 @@ def test_segments_markers_and_other_heads_are_told_apart(tmp_path, arm):
     table = read_table(tmp_path / "s.csv")
     assert table.names[2:8] == ("Hand_rx", "Hand_ry", "Hand_rz", "Hand_x", "Hand_y", "Hand_z")
     assert table.units[8:14] == ("deg", "deg", "deg", "mm", "mm", "mm")
-    markers = MOTIVE.replace("Quaternion", "XYZ").replace(
-        "Rotation,Rotation,Rotation,Rotation", "Marker,Marker,Marker,Marker"
-    )
-    (tmp_path / "m.csv").write_text(markers)
+    markers = ",".join(["Marker"] * 4)
+    turned = ",".join(["Rotation"] * 4)
+    (tmp_path / "m.csv").write_text(MOTIVE.replace("Quaternion", "XYZ").replace(turned, markers))
     assert "Ball_x" in read_table(tmp_path / "m.csv").names
-    (tmp_path / "inches.txt").write_text(
-        SPATIAL_ANALYZER.replace("[mm]", "").replace("export", "export, Units: Inches")
-    )
+    inches = SPATIAL_ANALYZER.replace("[mm]", "").replace("export", "export, Units: Inches")
+    (tmp_path / "inches.txt").write_text(inches)
     assert read_table(tmp_path / "inches.txt").units[5] == "in"
     (tmp_path / "trc.txt").write_text(TRC)
     table = read_table(tmp_path / "trc.txt")
@@ -275,17 +271,13 @@ def test_segments_markers_and_other_heads_are_told_apart(tmp_path, arm):
 @pytest.mark.parametrize("form", ["records", "lines", "arrays", "nested"])
 def test_json_of_arrays_or_records_is_read(tmp_path, arm, form):
     robot = arm("columns: {q_x: turn, q_y: slide, q_z: wrist}")
-    records = [
-        {"pose": f"p{k}", "q": q.tolist(), "tool": p.tolist()}
-        for k, (q, p) in enumerate(zip(JOINTS, POINTS, strict=True))
-    ]
+    arrays = {"q": JOINTS.tolist(), "tool": POINTS.tolist(), "pose": ["p0", "p1", "p2"]}
+    records = [dict(zip(arrays, row, strict=True)) for row in zip(*arrays.values(), strict=True)]
     content = {
         "records": json.dumps(records, indent=1),
         "lines": "\n".join(json.dumps(record) for record in records),
-        "arrays": json.dumps({"q": JOINTS.tolist(), "tool": POINTS.tolist(), "pose": ["p0", "p1", "p2"]}),
-        "nested": json.dumps(
-            {"q": JOINTS.T.tolist(), "tool": POINTS.tolist(), "rate": 10.0, "pose": ["p0", "p1", "p2"]}
-        ),
+        "arrays": json.dumps(arrays),
+        "nested": json.dumps(arrays | {"q": JOINTS.T.tolist(), "rate": 10.0}),
     }[form]
     (tmp_path / "a.json").write_text(content)
     data = calib.read_measurements(tmp_path / "a.json", robot)
@@ -330,9 +322,8 @@ def test_files_that_are_no_tables_are_known_by_how_they_begin(tmp_path, content,
 
 
 def test_files_that_only_begin_alike_are_none_of_these(tmp_path):
-    (tmp_path / "a.tsv").write_text(
-        "NO_OF_FRAMES\t3\nFrame\tTime\tball X\tball Y\tball Z\n1\t0\t1\t2\t3\n2\t1\t1\t2\t3\n"
-    )
+    table = "Frame\tTime\tball X\tball Y\tball Z\n1\t0\t1\t2\t3\n2\t1\t1\t2\t3\n"
+    (tmp_path / "a.tsv").write_text(f"NO_OF_FRAMES\t3\n{table}")
     assert "ball Y" in read_table(tmp_path / "a.tsv").names
     (tmp_path / "frames.dt").write_text("[*SYSTEM*]$MNUFRAME\n")
     with pytest.raises(calib.DataError, match="has a header but no rows"):
@@ -377,29 +368,21 @@ def test_poses_of_arrays_are_positions_and_quaternions(tmp_path):
 
 def test_files_that_are_not_read_are_named_with_the_way(tmp_path, arm):
     servo = {"id": 1, "drive_mode": 0, "homing_offset": -100, "range_min": 1024, "range_max": 3072}
-    (tmp_path / "so101.json").write_text(json.dumps({"elbow_flex": servo, "gripper": servo}))
-    with pytest.raises(calib.DataError, match=re.escape('columns: {elbow_flex.pos: "0.9 * elbow_flex [deg]"}')):
-        calib.read_measurements(tmp_path / "so101.json", arm())
-    with pytest.raises(calib.DataError, match=re.escape('elbow_flex.pos: "0.087891 * elbow_flex - 180 [deg]"')):
-        calib.read_measurements(tmp_path / "so101.json", arm())
-    (tmp_path / "other.json").write_text(json.dumps({"elbow_flex": servo | {"drive_mode": 1}}))
-    with pytest.raises(calib.DataError, match=re.escape('elbow_flex.pos: "-0.9 * elbow_flex [deg]"')):
-        calib.read_measurements(tmp_path / "other.json", arm())
-    old = {
-        "homing_offset": [1, 2],
-        "drive_mode": [0, 1],
-        "calib_mode": ["DEGREE"],
-        "motor_names": ["elbow_flex", "grip"],
-    }
-    (tmp_path / "so100.json").write_text(json.dumps(old))
-    with pytest.raises(calib.DataError, match=re.escape('{elbow_flex.pos: "elbow_flex [deg]"} into the robot desc')):
-        calib.read_measurements(tmp_path / "so100.json", arm())
-    (tmp_path / "d.parquet").write_bytes(b"PAR1" + bytes(100))
-    with pytest.raises(calib.DataError, match=r"this looks like a Parquet or Arrow file: .*read_parquet"):
-        calib.read_measurements(tmp_path / "d.parquet", arm())
-    (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04" + bytes(100))
-    with pytest.raises(calib.DataError, match=r"bad.npz: cannot be read"):
-        calib.read_measurements(tmp_path / "bad.npz", arm())
+    so101 = json.dumps({"elbow_flex": servo, "gripper": servo})
+    other = json.dumps({"elbow_flex": servo | {"drive_mode": 1}})
+    modes = {"homing_offset": [1, 2], "drive_mode": [0, 1], "calib_mode": ["DEGREE"]}
+    so100 = json.dumps(modes | {"motor_names": ["elbow_flex", "grip"]})
+    for name, content, said in (
+        ("so101.json", so101.encode(), re.escape('columns: {elbow_flex.pos: "0.9 * elbow_flex [deg]"}')),
+        ("so101.json", so101.encode(), re.escape('elbow_flex.pos: "0.087891 * elbow_flex - 180 [deg]"')),
+        ("other.json", other.encode(), re.escape('elbow_flex.pos: "-0.9 * elbow_flex [deg]"')),
+        ("so100.json", so100.encode(), re.escape('{elbow_flex.pos: "elbow_flex [deg]"} into the robot desc')),
+        ("d.parquet", b"PAR1" + bytes(100), r"this looks like a Parquet or Arrow file: .*read_parquet"),
+        ("bad.npz", b"PK\x03\x04" + bytes(100), r"bad.npz: cannot be read"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(calib.DataError, match=said):
+            calib.read_measurements(tmp_path / name, arm())
 
 
 def test_ordinary_tables_are_none_of_these(tmp_path):

@@ -1,11 +1,11 @@
 """A ROS 2 bag is a table: readings at which the robot stood still, with the joints of that moment."""
 
+import sys
+
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import calib
-from calib.core.commands.fit import command
 from calib.core.data.other_formats import is_bag
 from tests.project import EXAMPLES
 
@@ -75,9 +75,7 @@ def recording(q, p, rng, topic="/reflector", names=JOINTS):
 
 
 @pytest.fixture(scope="module")
-def measured():
-    robot = calib.load(EXAMPLES / "arm.yaml")
-    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+def measured(robot, data):
     return robot, data.joints[:30], data.points(robot)[:30, 0]
 
 
@@ -99,14 +97,11 @@ def test_a_bag_gives_the_rows_at_which_the_robot_stood_still(tmp_path, measured,
 
 
 @pytest.mark.quick(0)
-def test_a_calibration_from_a_bag_is_that_from_the_table(tmp_path, measured):
+def test_a_calibration_from_a_bag_is_that_from_the_table(tmp_path, measured, run_calib):
     robot, q, p = measured
     rng = np.random.default_rng(1)
     folder = write_bag(tmp_path / "bag", recording(np.append(q, q[:1], axis=0), np.append(p, p[:1], axis=0), rng)[:-21])
-    done = CliRunner().invoke(
-        command, [str(EXAMPLES / "arm.yaml"), str(folder), "--out", str(tmp_path / "out"), "--no-pages", "--quiet"]
-    )
-    assert done.exit_code == 0, done.output
+    assert run_calib("fit", EXAMPLES / "arm.yaml", folder, "--out", tmp_path / "out", "--no-pages").code == 0
     plain = calib.fit(robot, calib.as_measurements(robot, q, p)).robot
     again = calib.load(tmp_path / "out")
     assert np.abs(again.positions(q) - plain.positions(q)).max() < 2e-4  # 0.05 mrad of flicker, averaged
@@ -142,74 +137,60 @@ def test_without_stamps_the_time_of_the_recording_counts(tmp_path, measured):
     assert data.context["time"] == pytest.approx([0.5])
 
 
-def still(q, at=(0.5,), t0=START):
-    messages = [("/js", "sensor_msgs/msg/JointState", t0 + t, joint_state(t0 + t, q)) for t in np.arange(0, 1, 0.1)]
-    return messages + [
-        ("/reflector", "geometry_msgs/msg/PointStamped", t0 + t, place(t0 + t, [1.0, 0.0, 0.0])) for t in at
+def still(q, at=0.5, speed=0.0, names=JOINTS):
+    """A robot that stands at q, or moves, for a second, and a measurement."""
+    messages = [
+        ("/js", "sensor_msgs/msg/JointState", START + t, joint_state(START + t, q + speed * t, names))
+        for t in np.arange(0, 1, 0.1)
     ]
+    return [*messages, ("/reflector", "geometry_msgs/msg/PointStamped", START + at, place(START + at, [1.0, 0.0, 0.0]))]
 
 
-def wrong_bags(q):
-    """Messages and what is said of them."""
-    moving = [
-        ("/js", "sensor_msgs/msg/JointState", t, joint_state(t, q + t - START)) for t in START + np.arange(0, 1, 0.1)
-    ]
-    return {
-        "no joints": (still(q)[10:], "their topic too; the bag has /reflector (geometry_msgs/msg/PointStamped)"),
-        "no measurement": (still(q)[:10], "their topic too; the bag has /js (sensor_msgs/msg/JointState)"),
-        "moving": (moving + still(q)[10:], "the robot stood still at none of 1 measurement"),
-        "apart": (still(q, at=(5.0,)), "the robot stood still at none of 1 measurement"),
-        "joints twice": (
-            [*still(q), ("/js2", "sensor_msgs/msg/JointState", START, joint_state(START, q))],
-            "joint 'joint_1' is in /js and in /js2",
-        ),
-        "not finite": (still(q * np.nan), "numbers that are not finite"),
-        "other joints": (
-            [
-                *[(*m[:3], joint_state(m[2], q, [f"other_{k}" for k in range(6)])) for m in still(q)[:10]],
-                *still(q)[10:],
-            ],
-            "no column 'joint_1'",
-        ),
-    }
+NOWHERE = "the robot stood still at none of 1 measurement"
+WRONG = {  # functions of joint values that make messages, and what is said of these
+    "no joints": (lambda q: still(q)[10:], "their topic too; the bag has /reflector (geometry_msgs/msg/PointStamped)"),
+    "no measurement": (lambda q: still(q)[:10], "their topic too; the bag has /js (sensor_msgs/msg/JointState)"),
+    "moving": (lambda q: still(q, speed=1.0), NOWHERE),
+    "apart": (lambda q: still(q, at=5.0), NOWHERE),
+    "joints twice": (lambda q: [*still(q), ("/js2", *still(q)[0][1:])], "joint 'joint_1' is in /js and in /js2"),
+    "not finite": (lambda q: still(q * np.nan), "numbers that are not finite"),
+    "other joints": (lambda q: still(q, names="abcdef"), "no column 'joint_1'"),
+}
 
 
 @pytest.mark.quick(1)
-@pytest.mark.parametrize(
-    "what", ["no joints", "no measurement", "moving", "apart", "joints twice", "not finite", "other joints"]
-)
-def test_bags_that_say_too_little_are_refused_in_one_line(tmp_path, measured, what):
-    messages, words = wrong_bags(measured[1][0])[what]
-    write_bag(tmp_path / "bag", messages)
-    refused(tmp_path, tmp_path / "bag", words)
+@pytest.mark.parametrize("what", WRONG)
+def test_bags_that_say_too_little_are_refused_in_one_line(measured, refused, tmp_path, what):
+    messages, words = WRONG[what]
+    refused(write_bag(tmp_path / "bag", messages(measured[1][0])), words)
 
 
-def refused(tmp_path, bag, words):
-    arguments = [str(EXAMPLES / "arm.yaml"), str(bag), "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(command, arguments)
-    assert done.exit_code == 2, done.output
-    assert words in done.output
-    assert len(done.output.strip().splitlines()) == 1
-    assert not (tmp_path / "out").exists()
+@pytest.fixture
+def refused(tmp_path, run_calib):
+    def check(bag, words):
+        assert words in run_calib("fit", EXAMPLES / "arm.yaml", bag, "--out", tmp_path / "out").refusal()
+        assert not (tmp_path / "out").exists()
+
+    return check
 
 
-def test_files_that_are_no_bags_are_refused_in_one_line(tmp_path, measured):
-    refused(tmp_path, tmp_path / "nothing.mcap", "no such file; give a CSV file or a bag")
+def test_files_that_are_no_bags_are_refused_in_one_line(tmp_path, measured, refused):
+    refused(tmp_path / "nothing.mcap", "no such file; give a CSV file or a bag")
     for name in ("broken.mcap", "broken.db3"):
         (tmp_path / name).write_bytes(b"nothing of the kind")
-        refused(tmp_path, tmp_path / name, "is not a bag that can be read")
+        refused(tmp_path / name, "is not a bag that can be read")
     folder = write_bag(tmp_path / "bag", still(measured[1][0]))
     next(folder.glob("*.db3")).write_bytes(b"SQLite format 3\x00 and then nothing")
-    refused(tmp_path, folder, "is not a bag that can be read")
+    refused(folder, "is not a bag that can be read")
     (folder / "metadata.yaml").write_text("}")
-    refused(tmp_path, folder, "is not a bag that can be read")
+    refused(folder, "is not a bag that can be read")
     assert not is_bag(tmp_path)
 
 
-def test_without_the_package_the_message_says_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
+def test_without_the_package_the_message_says_how_to_get_it(tmp_path, monkeypatch, refused):
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     (tmp_path / "a.mcap").write_bytes(b"")
-    refused(tmp_path, tmp_path / "a.mcap", "is not installed: pip install rosbags")
+    refused(tmp_path / "a.mcap", "is not installed: pip install rosbags")
 
 
 def photographs(q, shown, rng, *, joints=True, names=JOINTS):
@@ -243,18 +224,16 @@ def test_of_a_bag_one_photograph_of_each_stop_comes_with_the_joints_of_that_mome
     write_bag(tmp_path / "bag", photographs(q, shown, generator))
     write_bag(tmp_path / "none", photographs(q, shown, generator, joints=False))
     write_bag(tmp_path / "other", photographs(q, shown, generator, names=tuple("abcdef")))
-    twice = photographs(q, shown, generator)
     again = ("/goals", "sensor_msgs/msg/JointState", START, joint_state(START, q[1], JOINTS))
-    write_bag(tmp_path / "twice", [*twice, again])
+    write_bag(tmp_path / "twice", [*photographs(q, shown, generator), again])
 
     def detect(*sources):
         return run_calib("detect", *sources, "--board", board, "--out", "pixels.csv", "--force", cwd=tmp_path)
 
     done = detect("bag", "shot_01.png")
     assert done.code == 0
-    assert (
-        "bag: 4 of 6 images left out: the robot moved, or had no joint states, at 2 (3, 6); 2 show the same" in done.err
-    )
+    said = "bag: 4 of 6 images left out: the robot moved, or had no joint states, at 2 (3, 6); 2 show the same"
+    assert said in done.err
     assert "left out: shot_01: has no joint values, unlike images of bag" in done.err
     lines = (tmp_path / "pixels.csv").read_text().splitlines()
     rows = [line.split(",") for line in lines if not line.startswith("#")]

@@ -22,7 +22,7 @@ import numpy as np
 
 import calib
 from calib.core.robots.fleet_prior import FleetParameter, FleetSection
-from tests.project import EXAMPLES
+from tests.project import EXAMPLES, copied
 
 ROBOT = EXAMPLES / "arm.yaml"
 MEAN, SPREAD = 0.7, 0.05  # over what the description expects: of the mean from nominal, of robots from the mean
@@ -87,12 +87,7 @@ def measures(fit, truth, q):
 
 def described(folder, known):
     """The robot that is calibrated, its base and its reflector known or not."""
-    if not known:
-        return calib.load(ROBOT)
-    text = ROBOT.read_text().replace("unknown", "known").replace(", sigma: 5 mm", "")
-    (Path(folder) / "arm.urdf").write_bytes(ROBOT.with_suffix(".urdf").read_bytes())
-    (Path(folder) / "arm.yaml").write_text(text)
-    return calib.load(Path(folder) / "arm.yaml")
+    return calib.load(copied(Path(folder), ROBOT, ("unknown", "known"), (", sigma: 5 mm", "")) if known else ROBOT)
 
 
 def knowing(robot, mean, spread):

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -39,9 +40,8 @@ def test_given_the_spreads_mean_and_covariance_are_those_of_the_dense_normal_mod
     rng = np.random.default_rng(1)
     jacobians = [rng.standard_normal((4, N)) for _ in range(3)]  # each shows four directions of six
     data = [rng.standard_normal(4) for _ in jacobians]
-    learned = learn(
-        [FleetEvidence(j.T @ j, j.T @ y) for j, y in zip(jacobians, data, strict=True)], np.zeros(N, dtype=int)
-    )
+    evidence = [FleetEvidence(j.T @ j, j.T @ y) for j, y in zip(jacobians, data, strict=True)]
+    learned = learn(evidence, np.zeros(N, dtype=int))
     variance = learned.variance * (learned.freedom - 2) / learned.freedom
     blocks = [np.linalg.inv(j @ np.diag(variance) @ j.T + np.eye(4)) for j in jacobians]
     dense = np.linalg.inv(np.eye(N) + sum(j.T @ b @ j for j, b in zip(jacobians, blocks, strict=True)))
@@ -76,10 +76,8 @@ def test_a_result_that_is_ten_times_as_far_off_in_everything_is_named_and_nobody
     for _ in range(8):
         u = 0.05 * rng.standard_normal((5, 12)) + rng.standard_normal(12)
         scatter = 0.05 * np.exp(0.5 * rng.standard_normal(12)) / np.sqrt(1000.0)  # noise, of other sizes
-        told = [
-            FleetEvidence(np.diag(scatter**-2), (values + scatter * rng.standard_normal(12)) / scatter**2)
-            for values in u
-        ]
+        read = u + scatter * rng.standard_normal(u.shape)
+        told = [FleetEvidence(np.diag(scatter**-2), values / scatter**2) for values in read]
         alarms += bool(learn_without_odd(told, np.zeros(12, dtype=int))[1])
         far = u[0] + 10 * (u[0] - u.mean(axis=0))
         told[0] = FleetEvidence(told[0].precision, far / scatter**2)
@@ -229,10 +227,7 @@ def test_bad_input_is_one_line_that_says_what_to_do(results, tmp_path):
         done = run(*arguments)
         assert done.exit_code == 2
         assert said in done.output
-    changed = tmp_path / "changed"
-    changed.mkdir()
-    for file in second.iterdir():
-        (changed / file.name).write_bytes(file.read_bytes())
+    changed = shutil.copytree(second, tmp_path / "changed")
     assert "both are of one robot" in run(second, changed).output
     (changed / "nominal.urdf").write_bytes((changed / "nominal.urdf").read_bytes().replace(b"0.4", b"0.5"))
     assert "was changed after the fit" in run(first, changed).output
@@ -260,9 +255,8 @@ def test_a_failed_result_that_was_forced_is_named(results, tmp_path):
     failed.save(tmp_path / "failed", pages=False)
     assert run(*folders[1:3], tmp_path / "failed").exit_code == 3
     failed.save(tmp_path / "forced", pages=False, force=True)
-    assert "Verdict FAIL: forced; " in " ".join(run(*folders[1:3], tmp_path / "forced").output.split()).replace(
-        f"{tmp_path.name}/", ""
-    )
+    said = " ".join(run(*folders[1:3], tmp_path / "forced").output.split())
+    assert "Verdict FAIL: forced; " in said.replace(f"{tmp_path.name}/", "")
     assert not any(note.startswith("Verdict") for note in calib.fleet(*folders[1:3]).notes)
 
 

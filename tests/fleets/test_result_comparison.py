@@ -20,8 +20,7 @@ def fits(robot, tmp_path_factory):
     generator = np.random.default_rng(3)
     sigma = np.array([0.0 if p.placement else p.sigma_si for p in robot.parameters])
     truth = robot.with_parameters(robot.values + sigma * generator.normal(size=len(sigma)))
-    place = [p.name for p in robot.parameters].index("joint_3.z")
-    shifted = truth.with_parameters({"joint_3.z": truth.values[place] + 1e-4})
+    shifted = truth.with_parameters(truth.values + 1e-4 * np.array([p.name == "joint_3.z" for p in robot.parameters]))
     unseen = calib.sample(robot, 20, generator)
     held = [calib.simulate(robot_of_fit, unseen, SIGMA, seed=9) for robot_of_fit in (truth, truth, shifted)]
     folder = tmp_path_factory.mktemp("results")
@@ -57,21 +56,19 @@ def test_holm_on_a_published_pattern():
 
 def test_the_shifted_joint_is_a_real_difference_and_nothing_is_between_two_measurements_of_one_robot(fits):
     comparison = calib.compare(fits / "before", fits / "again", fits / "shifted")
-    real = {difference.name: difference.real for difference in comparison.differences if any(difference.real)}
+    by_name = {difference.name: difference for difference in comparison.differences}
+    real = {name: difference.real for name, difference in by_name.items() if any(difference.real)}
     assert real["joint_3.z"] == (False, True)
     assert not any(again for again, _ in real.values())
     assert comparison.joint_p_values[0] > 0.01
     assert comparison.joint_p_values[1] < 1e-6
-    row = next(difference for difference in comparison.differences if difference.name == "joint_3.z")
-    assert row.rows[2]["value"] - row.rows[0]["value"] == pytest.approx(0.1, abs=0.03)  # 4 sigma of the difference
+    rows = by_name["joint_3.z"].rows
+    assert rows[2]["value"] - rows[0]["value"] == pytest.approx(0.1, abs=0.03)  # 4 sigma of the difference
     pairs = {pair.names: pair for pair in comparison.pairs}
     assert list(pairs) == [("before", "again"), ("before", "shifted"), ("again", "shifted")]
     assert ["joint_3.z" in pair.real for pair in pairs.values()] == [False, True, True]
     assert pairs["again", "shifted"].together < 1e-6
-    unseen_by_all = next(
-        difference for difference in comparison.differences if difference.name == "joint_1.x"
-    )  # the base takes it up
-    assert np.all(np.isnan(unseen_by_all.p_values))
+    assert np.all(np.isnan(by_name["joint_1.x"].p_values))  # no one sees it: the base takes it up
 
 
 def test_errors_are_on_the_same_rows_where_there_are_any(fits, tmp_path):
@@ -79,9 +76,8 @@ def test_errors_are_on_the_same_rows_where_there_are_any(fits, tmp_path):
     result = json.loads((fits / "before" / "result.json").read_text())
     assert [each.on for each in same.results] == ["the same 20 readings not used"] * 2
     assert same.results[0].rms == pytest.approx(result["errors"]["validation"]["after"]["rms"])
-    assert [each.on for each in calib.compare(fits / "before", fits / "shifted").results] == [
-        "readings that it did not use"
-    ] * 2
+    other = calib.compare(fits / "before", fits / "shifted")
+    assert [each.on for each in other.results] == ["readings that it did not use"] * 2
 
 
 def test_a_fit_without_other_poses_is_compared_by_poses_left_out(fits, robot, tmp_path):
@@ -114,9 +110,8 @@ def test_the_command_prints_one_short_table_and_writes_json_and_a_page(run_calib
     assert run_calib("compare", fits / "before", fits / "again", "--html", page, "--quiet").code == 0
     assert "joint_3.z" in page.read_text()
     assert 'id="same-rows"' in page.read_text()
-    row = next(row for row in table["parameters"] if row["name"] == "joint_3.z")
-    assert row["real"] == [True]
-    assert next(row for row in table["parameters"] if row["name"] == "joint_1.x")["p_values"] == [None]
+    rows = {row["name"]: row for row in table["parameters"]}
+    assert (rows["joint_3.z"]["real"], rows["joint_1.x"]["p_values"]) == ([True], [None])
 
 
 def test_bad_input_is_one_line(run_calib, fits, tmp_path):
@@ -130,5 +125,4 @@ def test_bad_input_is_one_line(run_calib, fits, tmp_path):
         ([fits / "before", tmp_path / "nowhere"], "holds no result"),
         ([fits / "before", tmp_path / "other"], "is the result of another robot"),
     ):
-        run = run_calib("compare", *arguments)
-        assert words in run.refusal()
+        assert words in run_calib("compare", *arguments).refusal()

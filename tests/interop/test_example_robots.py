@@ -2,7 +2,6 @@
 
 import importlib.metadata
 import importlib.util
-import logging
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from calib.core.robots.urdf.arm_chain import arm_chain
 from calib.core.robots.urdf.text import read_urdf
 from calib.exporting.formats import export
 from calib.starting.command import command as init
+from tests.interop.simulators import Drake, MuJoCo
 
 ARMS = {  # file below robots/: link that carries the measured point
     "asr_twodof_description/urdf/TwoDofs.urdf": "Tip",
@@ -120,16 +120,9 @@ def check(urdf: Path, target: str, folder: Path, held: str | None = None) -> Non
     assert errors.mean() < 2 * SIGMA  # more parameters than the data hold well: not below the noise itself
     assert errors.mean() < 0.1 * before.mean()
 
-    export(fit.robot, folder / "robot.yaml", "toolbox")
-    export(fit.robot, folder / "robot.xml", "mjcf")
-    export(fit.robot, folder / "robot.drake.urdf", "drake")
-    again = calib.load(folder / "robot.yaml")
-    assert np.abs(again.positions(held_out.joints) - fit.robot.positions(held_out.joints)).max() < 1e-12
+    again = export_and_read_back(fit.robot, folder, held_out.joints[:5])
     export(again, folder / "again.yaml", "toolbox")
     assert (folder / "again.urdf").read_bytes() == (folder / "robot.urdf").read_bytes()
-    same_in_pinocchio(fit.robot, folder / "robot.urdf", folder / "robot.xml", target, held_out.joints[:5])
-    same_in_mujoco(fit.robot, folder / "robot.xml", held_out.joints[:5])
-    same_in_drake(fit.robot, folder / "robot.drake.urdf", held_out.joints[:5])
 
 
 def in_pinocchio(robot: calib.Robot, model: pin.Model, q: np.ndarray, *links: str) -> Iterator[list[pin.SE3]]:
@@ -144,54 +137,31 @@ def in_pinocchio(robot: calib.Robot, model: pin.Model, q: np.ndarray, *links: st
         yield [data.oMf[model.getFrameId(link, pin.FrameType.BODY)] for link in links]
 
 
-def same_in_pinocchio(robot: calib.Robot, urdf: Path, mjcf: Path, target: str, q: np.ndarray) -> None:
-    for row, (placed,) in zip(q, in_pinocchio(robot, pin.buildModelFromXML(urdf.read_bytes()), q, target), strict=True):
-        expected = np.linalg.solve(robot.forward(row, robot.urdf.root), robot.forward(row, target))
-        assert np.abs(placed.homogeneous - expected).max() < 1e-9
+def export_and_read_back(robot: calib.Robot, folder: Path, q: np.ndarray) -> calib.Robot:
+    """Export, and hold what four programs read against the robot; return what calib reads."""
+    for name, file_format in (("robot.yaml", "toolbox"), ("robot.xml", "mjcf"), ("robot.drake.urdf", "drake")):
+        export(robot, folder / name, file_format)
+    again, expected = calib.load(folder / "robot.yaml"), robot.positions(q)[:, 0]
+    assert np.abs(again.positions(q)[:, 0] - expected).max() < 1e-12
+    target = robot.description.targets[robot.target_names[0]].frame
+    urdf = pin.buildModelFromXML((folder / "robot.urdf").read_bytes())
+    for row, (placed,) in zip(q, in_pinocchio(robot, urdf, q, target), strict=True):
+        pose = np.linalg.solve(robot.forward(row, robot.urdf.root), robot.forward(row, target))
+        assert np.abs(placed.homogeneous - pose).max() < 1e-9
     links = ("measurement_frame", f"target_{robot.target_names[0]}")
-    for row, (frame, point) in zip(q, in_pinocchio(robot, pin.buildModelFromMJCF(str(mjcf)), q, *links), strict=True):
-        assert np.abs(frame.actInv(point.translation) - robot.positions(row)[0, 0]).max() < 1e-9
-
-
-def same_in_drake(robot: calib.Robot, urdf: Path, q: np.ndarray) -> None:
-    if importlib.util.find_spec("pydrake") is None or any(j.mimic and j.type == "fixed" for j in robot.urdf.joints):
-        return  # Drake refuses a file in which a fixed joint mimics another (talos_left_arm)
-    from pydrake.multibody.parsing import Parser
-    from pydrake.multibody.plant import MultibodyPlant
-
-    logging.getLogger("drake").setLevel(logging.ERROR)  # it remarks on every tag that it passes over
-    plant = MultibodyPlant(time_step=1e-3)
-    (instance,) = Parser(plant).AddModels(str(urdf))
-    if robot.urdf.root != "world":
-        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(robot.urdf.root, instance))
-    plant.Finalize()
-    context = plant.CreateDefaultContext()
-    for row in q:
-        for name, value in zip(robot.joint_names, row, strict=True):
-            joint = plant.GetJointByName(name, instance)
-            (joint.set_translation if hasattr(joint, "set_translation") else joint.set_angle)(context, value)
-        frame, point = (
-            plant.GetFrameByName(name).CalcPoseInWorld(context)
-            for name in ("measurement_frame", f"target_{robot.target_names[0]}")
-        )
-        placed = frame.inverse().multiply(point.translation())
-        assert np.abs(placed - robot.positions(row)[0, 0]).max() < 1e-9
-
-
-def same_in_mujoco(robot: calib.Robot, mjcf: Path, q: np.ndarray) -> None:
-    if importlib.util.find_spec("mujoco") is None:
-        return
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_path(str(mjcf))
-    data = mujoco.MjData(model)
-    for row in q:
-        for name, value in zip(robot.joint_names, row, strict=True):
-            data.qpos[model.joint(name).qposadr[0]] = value
-        mujoco.mj_kinematics(model, data)
-        frame, point = data.body("measurement_frame"), data.body(f"target_{robot.target_names[0]}")
-        placed = frame.xmat.reshape(3, 3).T @ (point.xpos - frame.xpos)
-        assert np.abs(placed - robot.positions(row)[0, 0]).max() < 1e-9
+    mjcf = pin.buildModelFromMJCF(str(folder / "robot.xml"))
+    for point, poses in zip(expected, in_pinocchio(robot, mjcf, q, *links), strict=True):
+        assert np.abs(poses[0].actInv(poses[1].translation) - point).max() < 1e-9
+    tools = [(MuJoCo, "robot.xml")] if importlib.util.find_spec("mujoco") else []
+    if importlib.util.find_spec("pydrake") and not any(j.mimic and j.type == "fixed" for j in robot.urdf.joints):
+        tools.append((Drake, "robot.drake.urdf"))  # it refuses fixed joints that mimic others (talos_left_arm)
+    for tool, name in tools:
+        simulator = tool(folder / name, robot.urdf.root)
+        for point, row in zip(expected, q, strict=True):
+            simulator.put(dict(zip(robot.joint_names, row, strict=True)))
+            frame, placed = (simulator.pose(link) for link in links)
+            assert np.abs((np.linalg.inv(frame) @ placed)[:3, 3] - point).max() < 1e-9
+    return again
 
 
 @pytest.mark.parametrize(
@@ -237,15 +207,7 @@ def test_variants_of_these_arms_are_too(tmp_path: Path, amount: int) -> None:
 def check_read_back(file: Path, folder: Path) -> None:
     """The first arm or leg of a robot, exported; what four programs read is where it is."""
     robot = calib.load(file)
-    joints = random_poses(robot, 3, np.random.default_rng(4), "any").joints
-    export(robot, folder / "robot.yaml", "toolbox")
-    export(robot, folder / "robot.xml", "mjcf")
-    export(robot, folder / "robot.drake.urdf", "drake")
-    again = calib.load(folder / "robot.yaml")
-    assert np.abs(again.positions(joints) - robot.positions(joints)).max() < 1e-12
-    same_in_pinocchio(robot, folder / "robot.urdf", folder / "robot.xml", robot.target_names[0], joints)
-    same_in_mujoco(robot, folder / "robot.xml", joints)
-    same_in_drake(robot, folder / "robot.drake.urdf", joints)
+    export_and_read_back(robot, folder, random_poses(robot, 3, np.random.default_rng(4), "any").joints)
 
 
 def others() -> list[Path]:

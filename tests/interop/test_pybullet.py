@@ -23,11 +23,9 @@ def test_every_link_is_where_pinocchio_says(case, client: int) -> None:
     joints = {info[1].decode(): info[0] for info in infos}
     links = {info[12].decode(): info[0] for info in infos}
 
-    def put(values: dict[str, float]) -> None:
+    def pose(values: dict[str, float], link: str) -> np.ndarray:
         for name, value in values.items():
             pybullet.resetJointState(robot, joints[name], value, physicsClientId=client)
-
-    def pose(link: str):
         result = np.eye(4)
         if link != "world":
             state = pybullet.getLinkState(robot, links[link], computeForwardKinematics=True, physicsClientId=client)
@@ -35,4 +33,4 @@ def test_every_link_is_where_pinocchio_says(case, client: int) -> None:
             result[:3, :3] = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
         return result
 
-    assert case.largest_difference("PyBullet, URDF", put, pose) < SINGLE_PRECISION
+    assert case.largest_difference("PyBullet, URDF", pose) < SINGLE_PRECISION

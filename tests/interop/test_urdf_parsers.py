@@ -1,4 +1,4 @@
-"""urdf_parser_py and check_urdf (urdfdom): both read the exported files."""
+"""yourdfpy, urdf_parser_py and check_urdf (urdfdom): all read the exported files."""
 
 import shutil
 import subprocess
@@ -7,7 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yourdfpy
 from scipy.spatial.transform import Rotation
+
+
+def test_yourdfpy_has_every_link_where_pinocchio_does(case) -> None:
+    robot = yourdfpy.URDF.load(str(case.folder / "robot.urdf"), load_meshes=False)
+
+    def pose(values: dict[str, float], link: str) -> np.ndarray:
+        robot.update_cfg(values)
+        return robot.get_transform(link, frame_from="world")
+
+    assert case.largest_difference("yourdfpy, URDF", pose) < 1e-9
 
 
 @pytest.mark.quick(0)
@@ -18,16 +29,14 @@ def test_urdf_parser_py_reads_joints_that_put_every_link_where_pinocchio_does(ca
     robot = urdf.URDF.from_xml_string((case.folder / "robot.urdf").read_bytes())
     assert set(robot.link_map) == set(case.robot.urdf.links)
 
-    now: dict[str, float] = {}
-
-    def pose(link: str) -> np.ndarray:
+    def pose(values: dict[str, float], link: str) -> np.ndarray:
         result = np.eye(4)
         while link in robot.parent_map:
             name, link = robot.parent_map[link]
-            result = transform(robot.joint_map[name], now.get(name, 0.0)) @ result
+            result = transform(robot.joint_map[name], values.get(name, 0.0)) @ result
         return result
 
-    assert case.largest_difference("urdf_parser_py, URDF", now.update, pose) < 1e-9
+    assert case.largest_difference("urdf_parser_py, URDF", pose) < 1e-9
 
 
 def transform(joint, value: float) -> np.ndarray:

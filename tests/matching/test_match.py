@@ -15,13 +15,12 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.core.base.errors import DataError
+from calib.fleets.atlas import with_model
 from calib.fleets.ur_kinematics import nominal_origins, ur_urdf
 from calib.matching.agreement import hypotheses
 from calib.matching.pairs import read_pairs
 from calib.matching.readings import candidates
 from calib.shared.ur_calibration import JOINTS, KEYS, LINKS
-
-STEP = 1e-3, 1e-5  # of a pendant: 0.001 rad, 0.01 mm
 
 
 def origins(seed: int = 0) -> np.ndarray:
@@ -57,16 +56,28 @@ def ur_pairs(path: Path, q: np.ndarray, T: np.ndarray, digits: tuple[int, ...] =
     return write(path, "q0,q1,q2,q3,q4,q5,x,y,z,rx,ry,rz", q, 1e3 * T[:, :3, 3], vectors, digits=digits)
 
 
-@pytest.fixture(scope="module")
-def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("stock") / "ur5e.urdf"
-    path.write_bytes(ur_urdf(nominal_origins("ur5e")))
+def write_stock(folder: Path, model: str) -> Path:
+    path = folder / f"{model}.urdf"
+    path.write_bytes(ur_urdf(nominal_origins(model)))
     return path
 
 
-def distance95(match: calib.Match, controller: Callable[[np.ndarray], np.ndarray]) -> float:
+@pytest.fixture(scope="module")
+def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_stock(tmp_path_factory.mktemp("stock"), "ur5e")
+
+
+def only_reading(stock: Path, file: Path) -> Any:
+    """The only reading of the columns of pairs that the poses allow."""
+    robot = calib.load(stock)
+    (candidate,) = candidates(robot, read_pairs(file, robot.joint_names))
+    return candidate
+
+
+def distance95(match: calib.Match) -> float:
+    """Of the robot of a match from the controller, at other poses [m]."""
     q = joint_values(99, 300)
-    away = np.linalg.norm(match.fit.robot.positions(q)[:, 0] - controller(q)[:, :3, 3], axis=1)
+    away = np.linalg.norm(match.fit.robot.positions(q)[:, 0] - poses(q, origins())[:, :3, 3], axis=1)
     return float(np.quantile(away, 0.95))
 
 
@@ -74,7 +85,7 @@ def test_rounded_pairs_give_a_robot_that_agrees_at_other_poses(stock: Path, tmp_
     o, q = origins(), joint_values(1)
     matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q, o)))
     assert matched.grade == "PASS", matched.report()
-    assert distance95(matched, lambda q: poses(q, o)) <= matched.agreement.claim < 0.015e-3
+    assert distance95(matched) <= matched.agreement.claim < 0.015e-3
     assert "rotation vector" in matched.report()
     matched.save(tmp_path / "out")
     again = calib.load(tmp_path / "out" / "default_kinematics.yaml")
@@ -85,10 +96,10 @@ def test_rounded_pairs_give_a_robot_that_agrees_at_other_poses(stock: Path, tmp_
 
 
 def test_rounded_joint_values_count_as_rounding(stock: Path, tmp_path: Path) -> None:
-    o, q = origins(), joint_values(1)
-    matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q, o), digits=(3, 2, 3)))
+    q = joint_values(1)
+    matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q, origins()), digits=(3, 2, 3)))
     assert matched.grade == "PASS", matched.report()
-    assert distance95(matched, lambda q: poses(q, o)) <= matched.agreement.claim
+    assert distance95(matched) <= matched.agreement.claim
 
 
 def test_joints_that_stand_at_a_round_value_do_not_count_as_rounded_to_it(stock: Path, tmp_path: Path) -> None:
@@ -165,30 +176,24 @@ def scara_poses(q: np.ndarray, o: np.ndarray) -> np.ndarray:
     return T
 
 
-def scara_urdf(path: Path, turned: str = "0") -> Path:
+def scara_urdf(folder: Path, turned: str = "0") -> Path:
     """The nominal SCARA, the slide turned about x [rad] with its axis."""
     links = "".join(f"<link name='l{k}'/>" for k in range(5))
     joints = "".join(
         f"<joint name='j{k + 1}' type='{kind}'><parent link='l{k}'/><child link='l{k + 1}'/><origin xyz='{xyz}'"
         f" rpy='{turned if kind == 'prismatic' else 0} 0 0'/><axis xyz='0 0 {sign}'/>"
-        f"<limit lower='{-3 if kind == 'revolute' else 0}' upper='{3 if kind == 'revolute' else 0.2}' effort='1'"
-        " velocity='1'/></joint>"
+        f"<limit lower='{-3 if kind == 'revolute' else 0}' upper='{3 if kind == 'revolute' else 0.2}'/></joint>"
         for k, (kind, xyz, sign) in enumerate(SCARA)
     )
-    path.write_text(f"<robot name='scara'>{links}{joints}</robot>")
-    return path
+    (folder / "scara.urdf").write_text(f"<robot name='scara'>{links}{joints}</robot>")
+    return folder / "scara.urdf"
 
 
-def scara_pairs(
-    path: Path,
-    q: np.ndarray,
-    T: np.ndarray,
-    header: str = "j1,j2,j3,j4,x,y,z,w,p,r",
-    digits: tuple[int, ...] = (6, 4, 6),
-) -> Path:
+def scara_pairs(path, q, T, header="j1,j2,j3,j4,x,y,z,w,p,r", digits=(6, 4, 6), scales=(1, 1, 1, 1)) -> Path:
+    """Pairs in degrees and millimetres, joint values times scales."""
     angles = Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz", degrees=True)
-    numbers = np.degrees(q) * [1, 1, 0, 1] + 1e3 * q * [0, 0, 1, 0]
-    return write(path, header, numbers, 1e3 * T[:, :3, 3], angles, digits=digits)
+    joints = (np.degrees(q) * [1, 1, 0, 1] + 1e3 * q * [0, 0, 1, 0]) * scales
+    return write(path, header, joints, 1e3 * T[:, :3, 3], angles, digits=digits)
 
 
 def scara_values(seed: int, n: int) -> np.ndarray:
@@ -214,7 +219,7 @@ def option(numbers: np.ndarray, dx: float = 0.0, dz: float = 0.0) -> str:
 @pytest.mark.parametrize("lean", [0.0, 1e-6, 1e-3])
 @pytest.mark.parametrize("n", [4, 30])
 def test_a_scara_is_placed_and_fitted(tmp_path: Path, n: int, lean: float) -> None:
-    stock, rng, q = scara_urdf(tmp_path / "scara.urdf"), np.random.default_rng(3), scara_values(3, n)
+    stock, rng, q = scara_urdf(tmp_path), np.random.default_rng(3), scara_values(3, n)
     o = rng.normal(size=(4, 6)) * [3e-4, 3e-4, 3e-4, lean, lean, 0.0]
     base, tool = place(BASE), place(TOOL)
     for origins, most in ((0 * o, 2e-5), (o, 2e-3 + lean)):  # the nominal robot and noise alone; as its maker knows it
@@ -238,10 +243,8 @@ UNSEEN = r"no pose shows the change tool\.z \+1 mm, base\.x .* mm: both stay.*; 
 
 
 @pytest.mark.parametrize("longer", [0.0, 8e-4])
-def test_a_shift_that_no_pose_shows_is_said_until_it_is_stated(
-    tmp_path: Path, run_calib: Callable[..., Any], longer: float
-) -> None:
-    stock, q = scara_urdf(tmp_path / "scara.urdf"), scara_values(3, 30)
+def test_a_shift_that_no_pose_shows_is_said_until_it_is_stated(tmp_path: Path, run_calib, longer: float) -> None:
+    stock, q = scara_urdf(tmp_path), scara_values(3, 30)
     o = np.zeros((4, 6))
     o[1, 0], o[2, 0] = longer, -longer / 2
     pairs = scara_pairs(tmp_path / "p.csv", q, place(BASE) @ scara_poses(q, o) @ place(TOOL))
@@ -266,22 +269,18 @@ def test_a_shift_that_no_pose_shows_is_said_until_it_is_stated(
         ((f"--base={option(BASE, dz=60)}",), ""),  # no pose shows it
     ],
 )
-def test_a_stated_place_is_contradicted_only_by_what_poses_show(
-    tmp_path: Path, run_calib: Callable[..., Any], stated: tuple[str, ...], said: str
-) -> None:
+def test_a_stated_place_is_contradicted_only_by_what_poses_show(tmp_path: Path, run_calib, stated, said: str) -> None:
     base = BASE * [1, 1, 1, 0, 0, 1]  # upright, so that z is the direction that no pose shows
     stated = tuple(text.replace(",2,-10,115", ",0,0,115") for text in stated)
-    stock, q = scara_urdf(tmp_path / "scara.urdf"), scara_values(3, 30)
+    stock, q = scara_urdf(tmp_path), scara_values(3, 30)
     T = place(base) @ scara_poses(q, np.zeros((4, 6))) @ place(TOOL)
     run = run_calib("match", stock, scara_pairs(tmp_path / "p.csv", q, T), *stated)
     assert run.code == (2 if said else 0), run.out + run.err
     assert said in run.err
 
 
-def test_of_pairs_that_leave_more_open_than_all_poses_would_no_robot_is_made(
-    tmp_path: Path, run_calib: Callable[..., Any]
-) -> None:
-    stock, q = scara_urdf(tmp_path / "scara.urdf"), scara_values(3, 30)
+def test_of_pairs_that_leave_more_open_than_all_poses_would_no_robot_is_made(tmp_path: Path, run_calib) -> None:
+    stock, q = scara_urdf(tmp_path), scara_values(3, 30)
     q[:, :2] = 1.1234
     T = place(BASE) @ scara_poses(q, np.zeros((4, 6))) @ place(TOOL)
     run = run_calib("match", stock, scara_pairs(tmp_path / "p.csv", q, T), "--out", tmp_path / "out")
@@ -290,11 +289,9 @@ def test_of_pairs_that_leave_more_open_than_all_poses_would_no_robot_is_made(
     assert not (tmp_path / "out").exists()
 
 
-def test_axes_that_are_parallel_but_for_digits_of_the_file_show_no_shift(
-    tmp_path: Path, run_calib: Callable[..., Any]
-) -> None:
+def test_axes_that_are_parallel_but_for_digits_of_the_file_show_no_shift(tmp_path: Path, run_calib) -> None:
     """rpy="3.14159 0 0" leans by 2.7e-6 rad; base and tool would be at 90 m."""
-    stock, q = scara_urdf(tmp_path / "scara.urdf", turned="3.14159"), scara_values(3, 30)
+    stock, q = scara_urdf(tmp_path, turned="3.14159"), scara_values(3, 30)
     o = np.zeros((4, 6))
     o[1, 0], o[2, 3] = 8e-4, np.pi
     pairs = scara_pairs(tmp_path / "p.csv", q, place(BASE) @ scara_poses(q, o) @ place(TOOL))
@@ -309,13 +306,12 @@ def test_axes_that_are_parallel_but_for_digits_of_the_file_show_no_shift(
 @pytest.mark.parametrize("seed", range(5))
 def test_of_rotations_about_one_axis_every_form_is_tried(tmp_path: Path, seed: int) -> None:
     """The tool stays level: the controller prints 0, 0 and one angle, which may turn about any axis in any form."""
-    robot, q = calib.load(scara_urdf(tmp_path / "scara.urdf", turned="3.14159")), scara_values(seed, 30)
+    stock, q = scara_urdf(tmp_path, turned="3.14159"), scara_values(seed, 30)
     o = np.random.default_rng(seed).normal(size=(4, 6)) * [3e-4, 3e-4, 3e-4, 0, 0, 0]
     o[2, 3] = np.pi
     T = scara_poses(q, o) @ place(np.array([0.0, 0.0, 150.0, 180.0, 0.0, 0.0]))
     path = scara_pairs(tmp_path / "p.csv", q, T, "j1,j2,j3,j4,x,y,z,rx,ry,rz", digits=(5, 3, 5))
-    (found,) = candidates(robot, read_pairs(path, robot.joint_names))
-    assert found.miss < 2e-3
+    assert only_reading(stock, path).miss < 2e-3
 
 
 @pytest.mark.parametrize(
@@ -325,33 +321,26 @@ def test_of_rotations_about_one_axis_every_form_is_tried(tmp_path: Path, seed: i
         ("j1 [rad],j2 [deg],j3 [m],j4 [deg]", [np.pi / 180, 1.0, 1e-3, 1.0]),
     ],
 )
-def test_each_joint_column_has_a_unit_of_its_own(
-    tmp_path: Path, run_calib: Callable[..., Any], header: str, scales: list[float]
-) -> None:
-    stock, q = scara_urdf(tmp_path / "scara.urdf"), scara_values(3, 30)
-    T = scara_poses(q, np.zeros((4, 6)))
-    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz", degrees=True)
-    numbers = (np.degrees(q) * [1, 1, 0, 1] + 1e3 * q * [0, 0, 1, 0]) * scales
-    path = write(
-        tmp_path / "p.csv", f"{header},x [mm],y [mm],z [mm],w,p,r", numbers, 1e3 * T[:, :3, 3], angles, digits=(8, 4, 6)
-    )
+def test_each_joint_column_has_a_unit_of_its_own(tmp_path: Path, run_calib, header: str, scales: list[float]) -> None:
+    stock, q = scara_urdf(tmp_path), scara_values(3, 30)
+    T, columns = scara_poses(q, np.zeros((4, 6))), f"{header},x [mm],y [mm],z [mm],w,p,r"
+    path = scara_pairs(tmp_path / "p.csv", q, T, columns, (8, 4, 6), scales)
     run = run_calib("match", stock, path)
     assert (run.code, "PASS: agrees" in run.out) == (0, True), run.out + run.err
     assert "not in" not in run.out
-    robot = calib.load(stock)
-    (found,) = candidates(robot, read_pairs(path, robot.joint_names))
-    assert found.reading.joint_units == tuple(re.findall(r"\[(\w+)\]", header))
-    assert np.allclose(found.reading.joints(read_pairs(path, robot.joint_names).joints), q, atol=1e-7)
+    reading = only_reading(stock, path).reading
+    assert reading.joint_units == tuple(re.findall(r"\[(\w+)\]", header))
+    assert np.allclose(reading.joints(read_pairs(path, ("j1", "j2", "j3", "j4")).joints), q, atol=1e-7)
 
 
 def test_pair_of_another_program_is_named_and_left_out(stock: Path, tmp_path: Path) -> None:
-    o, q = origins(), joint_values(1)
-    T = poses(q, o)
+    q = joint_values(1)
+    T = poses(q, origins())
     T[11, :3, 3] += [0.0, 0.0, 0.05]
     matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, T))
     assert [name for name, _ in matched.left_out] == ["line 13"]
     assert matched.grade == "CHECK"
-    assert distance95(matched, lambda q: poses(q, o)) <= matched.agreement.claim
+    assert distance95(matched) <= matched.agreement.claim
 
 
 @pytest.mark.quick(0)
@@ -373,34 +362,27 @@ EULER = {"A,B,C": "ZYX", "W,P,R": "xyz", "Rx,Ry,Rz": "XYZ", "O,A,T": "ZYZ"}
 
 @pytest.mark.parametrize("words", EULER)
 def test_makers_angles_are_found(stock: Path, tmp_path: Path, words: str) -> None:
-    q, robot = joint_values(1), calib.load(stock)
-    T = poses(q, origins())
-    angles = Rotation.from_matrix(T[:, :3, :3]).as_euler(EULER[words], degrees=True)
-    header = f"J1,J2,J3,J4,J5,J6,X,Y,Z,{words}"
-    file = write(tmp_path / "p.csv", header, np.degrees(q), 1e3 * T[:, :3, 3], angles, digits=(3, 2, 3))
-    (found,) = candidates(robot, read_pairs(file, JOINTS))
-    reading = found.reading
+    q = joint_values(1)
+    header, rows = f"J1,J2,J3,J4,J5,J6,X,Y,Z,{words}", numbers(poses(q, origins()), EULER[words])
+    file = write(tmp_path / "p.csv", header, np.degrees(q), rows[:, :3], rows[:, 3:], digits=(3, 2, 3))
+    reading = only_reading(stock, file).reading
     units = reading.joint_units[0], reading.length_unit, reading.angle_unit
     assert (reading.convention.form, units, reading.direction) == (EULER[words], ("deg", "mm", "deg"), "direct")
 
 
 def test_quaternions_of_abb_and_lines_without_a_header_are_read(stock: Path, tmp_path: Path) -> None:
-    q, robot = joint_values(1), calib.load(stock)
+    q = joint_values(1)
     T = poses(q, origins())
     turns = Rotation.from_matrix(T[:, :3, :3])
     header = "J1,J2,J3,J4,J5,J6,X,Y,Z,q1,q2,q3,q4"
     scalar_first = turns.as_quat()[:, [3, 0, 1, 2]]
     file = write(tmp_path / "p.csv", header, np.degrees(q), 1e3 * T[:, :3, 3], scalar_first, digits=(3, 2, 6))
-    (found,) = candidates(robot, read_pairs(file, JOINTS))
-    assert found.reading.convention.form == "qw qx qy qz"
+    assert only_reading(stock, file).reading.convention.form == "qw qx qy qz"
     lines = [f"{a.tolist()} p{b.tolist()}" for a, b in zip(q, np.hstack([T[:, :3, 3], turns.as_rotvec()]), strict=True)]
     (tmp_path / "log.txt").write_text("\n".join(lines))
-    (found,) = candidates(robot, read_pairs(tmp_path / "log.txt", JOINTS))
-    assert (found.reading.convention.form, found.reading.joint_units[0], found.reading.length_unit) == (
-        "rotation vector",
-        "rad",
-        "m",
-    )
+    reading = only_reading(stock, tmp_path / "log.txt").reading
+    assert reading.convention.form == "rotation vector"
+    assert (reading.joint_units[0], reading.length_unit) == ("rad", "m")
 
 
 @pytest.mark.parametrize(("stem", "width"), [("actual_TCP_pose", 6), ("O_T_EE", 16)])
@@ -415,8 +397,8 @@ def test_columns_that_are_numbered_as_controllers_log_them_are_read(
     file = write(tmp_path / "log.csv", ",".join(names), np.arange(30)[:, None], q, numbers, digits=(2, 6, 6))
     read = read_pairs(file, JOINTS)
     assert np.allclose(read.joints, q, atol=1e-6)
-    (found,) = candidates(calib.load(stock), read)
-    assert np.allclose(found.reading.poses(read.positions, read.rotations), T, atol=1e-5)
+    reading = only_reading(stock, file).reading
+    assert np.allclose(reading.poses(read.positions, read.rotations), T, atol=1e-5)
 
 
 def test_a_log_of_thousands_is_used_evenly(stock: Path, tmp_path: Path) -> None:
@@ -431,21 +413,14 @@ def test_a_row_of_a_log_is_where_the_stock_robot_is_and_a_log_at_rest_says_too_l
     """A row that URSim wrote, of a UR3e, as published with a recorder of its RTDE."""
     q = [1.3084329994998356, -1.5311321190997251, 1.39087118907581, -1.637036610180001, -1.5187584099703901, 0.197163]
     pose = [0.04737631470299991, -0.34733247603100004, 0.3524927572500001, 0.69333359, 3.00077912, -0.32157151]
-    (tmp_path / "ur3e.urdf").write_bytes(ur_urdf(nominal_origins("ur3e")))
     header = ",".join([f"actual_q_{k}" for k in range(6)] + [f"actual_TCP_pose_{k}" for k in range(6)])
     log = write(tmp_path / "log.csv", header, np.tile(q, (9, 1)), np.tile(pose, (9, 1)), digits=(6, 8))
-    robot, read = calib.load(tmp_path / "ur3e.urdf"), read_pairs(log, JOINTS)
+    robot, read = calib.load(write_stock(tmp_path, "ur3e")), read_pairs(log, JOINTS)
     T = np.linalg.inv(robot.forward(read.joints, "base_link_inertia")) @ robot.forward(read.joints, "tool0")
     assert np.allclose(T[:, :3, 3], read.positions, atol=1e-6)
     assert np.allclose(Rotation.from_matrix(T[:, :3, :3]).as_rotvec(), read.rotations, atol=1e-5)
     with pytest.raises(DataError, match=r"the tool moves by 0\.0 mm only"):
         calib.match(robot, log)
-
-
-def mistakes(stock: Path, file: Path) -> str:
-    robot = calib.load(stock)
-    pairs = read_pairs(file, JOINTS)
-    return " ".join(candidates(robot, pairs)[0].reading.mistakes(pairs))
 
 
 def numbers(T: np.ndarray, form: str = "") -> np.ndarray:
@@ -455,6 +430,8 @@ def numbers(T: np.ndarray, form: str = "") -> np.ndarray:
 
 
 IN_DEGREES = ",".join(f"J{k} [deg]" for k in range(1, 7))
+VECTORS = "j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz"
+THOROUGH = pytest.mark.amount(0, 1)
 Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 6))  # as `joint_values(1)`
 
 
@@ -466,29 +443,17 @@ Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 6))  # as `joint_values
         (f"{IN_DEGREES},X,Y,Z,rx,ry,rz", Q, numbers, "joint values are in rad, not in deg"),
         ("J1,J2,J3,J4,J5,J6,X,Y,Z,A,B,C", Q, lambda T: numbers(T, "xyz"), "a b c are not ZYX, but xyz"),
         ("J1,J2,J3,J4,J5,J6,X,Y,Z,W,P,R", Q, lambda T: numbers(T, "ZYX"), "w p r are not xyz, but ZYX"),
-        ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q - Q[:, [1]] * np.eye(6)[2], numbers, "elbow_joint from the horizontal"),
+        (VECTORS, Q - Q[:, [1]] * np.eye(6)[2], numbers, "elbow_joint from the horizontal"),
+        pytest.param(VECTORS, Q * [1, 1, -1, 1, 1, 1], numbers, "elbow_joint has the wrong sign", marks=THOROUGH),
+        (VECTORS, Q, lambda T: np.roll(numbers(T), 1, axis=0), "1 row above their poses"),
         pytest.param(
-            "j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz",
-            Q * [1, 1, -1, 1, 1, 1],
-            numbers,
-            "elbow_joint has the wrong sign",
-            marks=pytest.mark.amount(0, 1),
-        ),
-        ("j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz", Q, lambda T: np.roll(numbers(T), 1, axis=0), "1 row above their poses"),
-        pytest.param(
-            "j1,j2,j3,j4,j5,j6,x,y,z,rx,ry,rz",
-            Q,
-            lambda T: numbers(T) * [1, -1, 1, 1, 1, 1],
-            "x, y, z of positions hold",
-            marks=pytest.mark.amount(0, 1),
+            VECTORS, Q, lambda T: numbers(T) * [1, -1, 1, 1, 1, 1], "x, y, z of positions hold", marks=THOROUGH
         ),
     ],
 )
-def test_a_file_that_is_not_as_it_seems_is_named(
-    stock: Path, tmp_path: Path, header: str, q: np.ndarray, numbers: Callable[[np.ndarray], np.ndarray], said: str
-) -> None:
-    file = write(tmp_path / "pairs.csv", header, q, numbers(poses(Q, origins())), digits=(5, 3))
-    assert said in mistakes(stock, file)
+def test_a_file_that_is_not_as_it_seems_is_named(stock: Path, tmp_path: Path, header: str, q, numbers, said) -> None:
+    pairs = read_pairs(write(tmp_path / "pairs.csv", header, q, numbers(poses(Q, origins())), digits=(5, 3)), JOINTS)
+    assert said in " ".join(candidates(calib.load(stock), pairs)[0].reading.mistakes(pairs))
 
 
 def test_a_base_that_is_not_the_one_stated_is_named(stock: Path, tmp_path: Path) -> None:
@@ -543,25 +508,23 @@ def test_lost_sign_and_missing_number_of_a_calibration_are_named(tmp_path: Path)
         calib.load(tmp_path / "short.yaml")
 
 
+def described(path: Path, stock: Path, more: str) -> Path:
+    path.write_text(
+        f"urdf: {stock}\nname_mot: [{', '.join(JOINTS)}]\nbase: {{frame: base_link_inertia}}\nsigma: 0.03 mm\n"
+        "targets: {ball: {frame: tool0, xyz: [0, 0, 50 mm]}}\nparametrisation:\n"
+        "- {origin: all, components: [x, y, z], sigma: 2 mm}\n"
+        f"- {{origin: all, components: [rx, ry, rz], sigma: 5 mrad}}\n{more}"
+    )
+    return path
+
+
 @pytest.mark.quick(0)
 def test_calibrations_are_a_fleet_and_its_file_a_model(stock: Path, tmp_path: Path) -> None:
     files = [write_calibration(tmp_path / f"robot_{k}.yaml", origins(k)) for k in range(3)]
     learned = calib.fleet(*files)
     assert [member.name for member in learned.members] == ["robot_0", "robot_1", "robot_2"]
     learned.save(tmp_path / "model.yaml")
-    description = (
-        f"urdf: {stock}\nmodel: model.yaml\n"
-        + """
-name_mot: [shoulder_pan_joint, shoulder_lift_joint, elbow_joint, wrist_1_joint, wrist_2_joint, wrist_3_joint]
-base: {frame: base_link_inertia}
-targets: {tool0: {frame: tool0}}
-parametrisation:
-- {origin: all, components: [x, y, z], sigma: 2 mm}
-- {origin: all, components: [rx, ry, rz], sigma: 5 mrad}
-"""
-    )
-    (tmp_path / "arm.yaml").write_text(description)
-    robot = calib.load(tmp_path / "arm.yaml")
+    robot = calib.load(described(tmp_path / "arm.yaml", stock, "model: model.yaml\n"))
     sigma = {p.name: p.sigma_si for p in robot.parameters}
     assert sigma["elbow_joint.x"] < 1e-3 < sigma["flange-tool0.x"]
 
@@ -569,34 +532,19 @@ parametrisation:
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("model", ["ur5", "ur5e", "ur3e", "ur10e"])
 def test_models_that_ship_are_those_of_their_stock_robots(tmp_path: Path, model: str) -> None:
-    from calib.fleets.atlas import with_model
-
-    path = tmp_path / "stock.urdf"
-    path.write_bytes(ur_urdf(nominal_origins(model)))
-    known = with_model(calib.load(path), model)
+    known = with_model(calib.load(write_stock(tmp_path, model)), model)
     assert known.description.fleet is not None
     assert known.description.fleet.robots >= 3
-    path.write_bytes(ur_urdf(nominal_origins("ur10")))
     with pytest.raises(calib.DescriptionError, match=f"is not the stock robot '{model}'"):
-        with_model(calib.load(path), model)
+        with_model(calib.load(write_stock(tmp_path, "ur10")), model)
 
 
-def test_a_prior_says_before_measuring_that_fewer_poses_reach_a_goal(
-    stock: Path, tmp_path: Path, run_calib: Callable[..., Any]
-) -> None:
-    description = (
-        f"urdf: {stock}\nname_mot: [{', '.join(JOINTS)}]\nbase: {{frame: base_link_inertia}}\nsigma: 0.03 mm\n"
-        "targets: {ball: {frame: tool0, xyz: [0, 0, 50 mm]}}\n"
-        "parametrisation:\n"
-        "- {origin: all, components: [x, y, z], sigma: 2 mm}\n"
-        "- {origin: all, components: [rx, ry, rz], sigma: 5 mrad}\n"
-    )
-    write(tmp_path / "candidates.csv", ",".join(JOINTS), joint_values(1, 40, 2.5), digits=(4,))
+def test_a_prior_says_before_measuring_that_fewer_poses_reach_a_goal(stock: Path, tmp_path: Path, run_calib) -> None:
+    table = write(tmp_path / "candidates.csv", ",".join(JOINTS), joint_values(1, 40, 2.5), digits=(4,))
     counts = []
     for name, line in (("without", ""), ("with", "model: ur5e\n")):
-        (tmp_path / f"{name}.yaml").write_text(description + line)
-        out = tmp_path / f"{name}.csv"
-        run = run_calib("select", tmp_path / f"{name}.yaml", tmp_path / "candidates.csv", "--goal-mm", 1, "--out", out)
+        robot, out = described(tmp_path / f"{name}.yaml", stock, line), tmp_path / f"{name}.csv"
+        run = run_calib("select", robot, table, "--goal-mm", 1, "--out", out)
         assert run.code == 0, run.err
         counts.append(sum(not row.startswith("#") for row in out.read_text().splitlines()) - 1)
     assert 2 * counts[1] <= counts[0]

@@ -6,7 +6,6 @@ import itertools
 import json
 import re
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,13 +15,17 @@ import calib
 from calib.core.base.errors import DescriptionError, InputError
 from calib.core.data.in_memory import as_poses
 from calib.core.data.measurement_files import read_poses
-from calib.motion.planner import check_move
+from calib.motion.planner import Planner, check_move
 from calib.motion.poses import surroundings
 from calib.motion.programs import LANGUAGES, Motion, write_program
 from calib.motion.route import plan_route
 from calib.programs.languages.languages import read_program
 from calib.shared.pose_check import check_poses
+from tests.project import EXAMPLES, copied, write_table
 from tests.six_axis_arm import FREE, URDF, YAML
+from tests.urdf_trees import plain
+from viz.inputs import gather
+from viz.scene_data import scene_data
 
 mujoco = pytest.importorskip("mujoco", reason="extra 'mujoco'")
 
@@ -57,17 +60,26 @@ def _shaped(boxes=()):
 
 
 def _obstacles(clearance="10 mm", boxes=_BOXES):
-    lines = [
-        f"  {name}: {{box: {list(size)}, xyz: {list(xyz)}, clearance: {clearance}}}"
+    return "obstacles:\n" + "".join(
+        f"  {name}: {{box: {list(size)}, xyz: {list(xyz)}, clearance: {clearance}}}\n"
         for name, (size, xyz) in boxes.items()
-    ]
-    return "obstacles:\n" + "\n".join(lines) + "\n"
+    )
 
 
 def _write(folder, more="", urdf=None):
     (folder / "arm.urdf").write_text(_shaped() if urdf is None else urdf)
     (folder / "arm.yaml").write_text(YAML + FREE + "sigma: 0.05 mm\n" + more)
     return folder / "arm.yaml"
+
+
+def _names(scene):
+    """Pairs of bodies that a scene looks at."""
+    return [scene.name(k) for k in range(len(scene.pairs))]
+
+
+def _table(path, *rows):
+    """A table of poses: name and joint values of each."""
+    return write_table(path, "pose,j1,j2,j3,j4,j5,j6", [name for name, *_ in rows], [q for _, q in rows])
 
 
 class _MuJoCo:
@@ -116,9 +128,22 @@ def test_no_contact_anywhere_on_a_route(route, n_poses):
     assert all(stop.clearance > 0.005 for stop in route.stops)
 
 
+PLATE = {"plate": ((0.5, 0.001, 0.5), (0.75, 0.0, 1.1))}
+
+
+@needs_ompl
+def test_a_way_that_is_searched_from_a_nearer_pose_begins_at_the_start(tmp_path):
+    robot = calib.load(_write(tmp_path, _obstacles("1 mm", PLATE)))
+    nodes = np.array([-0.7, -0.4, 0.5])[:, None] * np.eye(6)[0]  # the plate is at 0, and the second is nearer
+    planner = Planner(surroundings(robot).scene, nodes, robot.joint_limits, 0)
+    assert len(planner.free_path(0, 1)) == 2  # from now on this move is known to be free
+    way = planner.free_path(0, 2)
+    np.testing.assert_array_equal(way[[0, -1]], nodes[[0, 2]])
+    assert not any(planner.move(one, other).hit for one, other in itertools.pairwise(way))
+
+
 def test_a_plate_between_two_free_poses_is_not_missed(tmp_path):
-    plate = {"plate": ((0.5, 0.001, 0.5), (0.75, 0.0, 1.1))}
-    scene = surroundings(calib.load(_write(tmp_path, _obstacles("1 mm", plate)))).scene
+    scene = surroundings(calib.load(_write(tmp_path, _obstacles("1 mm", PLATE)))).scene
     one, other = np.array([-0.5, 0, 0, 0, 0, 0]), np.array([0.5, 0, 0, 0, 0, 0])
     assert scene.hits(np.array([one, other])) == ("", "")
     assert "plate" in check_move(scene, one, other).hit
@@ -144,13 +169,12 @@ def test_a_shape_inside_a_hollow_mesh_hits(tmp_path):
     around = "obstacles:\n  tube: {mesh: tube.stl, frame: l0, xyz: [0.4 m, 0, 1.1 m], clearance: 0 mm}\n"
     ball = "  bead: {sphere: 20 mm, frame: l6, xyz: [50 mm, 0, 0]}\n"
     scene = surroundings(calib.load(_write(tmp_path, around + ball))).scene
-    pairs = [scene.name(k) for k in range(len(scene.pairs))]
     apart = scene.distances(scene.configurations(np.zeros((1, 6)))[0])[0]
-    assert apart[pairs.index("tube - bead")] > 0.05  # in the hole: free
+    assert apart[_names(scene).index("tube - bead")] > 0.05  # in the hole: free
     trimesh.creation.box((1.0, 1.0, 1.0)).subdivide().export(tmp_path / "tube.stl")
     solid = surroundings(calib.load(tmp_path / "arm.yaml")).scene
     apart = solid.distances(solid.configurations(np.zeros((1, 6)))[0])[0]
-    assert apart[[solid.name(k) for k in range(len(solid.pairs))].index("tube - bead")] <= 0
+    assert apart[_names(solid).index("tube - bead")] <= 0
 
 
 @pytest.fixture(scope="module")
@@ -233,9 +257,8 @@ def test_programs_of_a_route_are_read_back_by_what_compensates_them(route, langu
 def test_a_third_joint_that_is_counted_from_the_second_link_is_written_as_fanuc_counts_it(route):
     assert "BAS(#VEL_PTP, 1)" in write_program(route, "krl", Motion("plan", speed=0.001))  # 0 % is no speed
     text = write_program(route, "fanuc", Motion("plan", third_joint="j2+j3"))
-    values = [
-        [float(v) for v in re.findall(r"= (-?\d+\.\d+) deg", match)] for match in re.findall(r"UT : 1,([^}]*)\}", text)
-    ]
+    moves = re.findall(r"UT : 1,([^}]*)\}", text)
+    values = [[float(v) for v in re.findall(r"= (-?\d+\.\d+) deg", move)] for move in moves]
     expected = np.degrees(route.corners()[1:])
     expected[:, 2] -= expected[:, 1]
     np.testing.assert_allclose(values, expected, atol=1e-6)
@@ -248,9 +271,8 @@ def test_fanuc_programs_ask_what_the_third_joint_is(tmp_path, run_calib):
 
 def test_a_trajectory_of_ros_is_at_rest_at_every_stop(route):
     content = json.loads(write_program(route, "ros2", Motion("plan", dwell=0.5, reading=2.0)))
-    times = [
-        point["time_from_start"]["sec"] + 1e-9 * point["time_from_start"]["nanosec"] for point in content["points"]
-    ]
+    starts = [point["time_from_start"] for point in content["points"]]
+    times = [start["sec"] + 1e-9 * start["nanosec"] for start in starts]
     assert content["joint_names"] == list(route.robot.joint_names)
     assert np.all(np.diff(times) > 0)
     for stop, planned in zip(content["stops"], route.stops, strict=True):
@@ -261,11 +283,8 @@ def test_a_trajectory_of_ros_is_at_rest_at_every_stop(route):
 
 
 def test_robots_that_a_language_has_no_moves_for_are_said(route, tmp_path):
-    (tmp_path / "two.urdf").write_text(
-        "<robot name='two'><link name='a'/><link name='b'/><joint name='j' type='revolute'><parent link='a'/>"
-        "<child link='b'/><axis xyz='0 0 1'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint></robot>"
-    )
-    other = type(route)(calib.load(tmp_path / "two.urdf"), np.zeros(1), route.stops, {}, (), ())
+    two = plain(tmp_path, ("j", "revolute", "a", "b"))
+    other = type(route)(two, np.zeros(1), route.stops, {}, (), ())
     with pytest.raises(InputError, match="six turning"):
         write_program(other, "krl", Motion("plan"))
     assert set(LANGUAGES) == {"urscript", "rapid", "krl", "fanuc", "ros2", "csv"}
@@ -278,8 +297,7 @@ def test_the_commands_give_free_poses_and_say_what_was_left_out(tmp_path, run_ca
     whole = calib.load(_write(tmp_path, "obstacles: unchecked\n"))
     with_, without = (calib.check(whole, poses).scaled["O1"] for poses in (tmp_path / "s.csv", calib.sample(whole, 60)))
     assert f"O1 is {100 * with_ / without:.1f} %" in run.out  # as `calib check` says
-    yaml = _write(tmp_path, _obstacles())
-    robot = calib.load(yaml)
+    robot = calib.load(_write(tmp_path, _obstacles()))
     sampled = read_poses(tmp_path / "s.csv", robot)
     assert len(sampled) == 60
     checker = _MuJoCo(_BOXES)
@@ -322,33 +340,26 @@ def test_the_route_command_writes_programs_and_a_table_that_joins_by_pose(tmp_pa
     ],
 )
 def test_scenes_that_cannot_be_are_one_line(tmp_path, run_calib, more, said):
-    yaml = _write(tmp_path, more)
-    (tmp_path / "p.csv").write_text("pose,j1,j2,j3,j4,j5,j6\na,0.5,0,0,0,0,0\n")
-    run = run_calib("route", yaml, tmp_path / "p.csv", "--out", tmp_path / "r")
-    assert (run.code, run.err.count("\n")) == (2, 1)
-    assert said in run.err
+    poses = _table(tmp_path / "p.csv", ("a", [0.5, 0, 0, 0, 0, 0]))
+    assert said in run_calib("route", _write(tmp_path, more), poses, "--out", tmp_path / "r").refusal()
     assert not (tmp_path / "r").exists()
 
 
 def test_no_free_candidate_and_a_missing_mesh_are_said(tmp_path, run_calib):
-    yaml = _write(tmp_path, _obstacles())
-    (tmp_path / "p.csv").write_text("pose,j1,j2,j3,j4,j5,j6\na,0,2.5,0,0,0,0\nb,0.1,2.5,0,0,0,0\n")
-    run = run_calib("select", yaml, tmp_path / "p.csv", "-n", 1, "--out", tmp_path / "c.csv")
+    yaml, rows = _write(tmp_path, _obstacles()), [("a", [0, 2.5, 0, 0, 0, 0]), ("b", [0.1, 2.5, 0, 0, 0, 0])]
+    poses = _table(tmp_path / "p.csv", *rows)
+    run = run_calib("select", yaml, poses, "-n", 1, "--out", tmp_path / "c.csv")
     assert "none of the candidates is free: 2 of 2 poses not free" in run.refusal()
-    (tmp_path / "f.csv").write_text((tmp_path / "p.csv").read_text() + "c,0.1,0,0,0,0,0\n")
-    run = run_calib("select", yaml, tmp_path / "f.csv", "-n", 2, "--out", tmp_path / "c.csv")
-    assert (run.code, run.err.count("\n")) == (2, 1)
-    assert "only 1 of the candidates are free, and 2 are to be chosen: 2 of 3 poses not free (2 " in run.err
-    run = run_calib("route", yaml, tmp_path / "p.csv", "--out", tmp_path / "r")
+    free = _table(tmp_path / "f.csv", *rows, ("c", [0.1, 0, 0, 0, 0, 0]))
+    run = run_calib("select", yaml, free, "-n", 2, "--out", tmp_path / "c.csv")
+    assert "only 1 of the candidates are free, and 2 are to be chosen: 2 of 3 poses not free (2 " in run.refusal()
+    run = run_calib("route", yaml, poses, "--out", tmp_path / "r")
     assert run.code == 3
     assert "none of 2 poses can be visited" in run.err
     urdf = _shaped().replace('<cylinder radius="0.05" length="0.5"/>', '<mesh filename="upper.stl"/>')
-    _write(tmp_path, _obstacles(), urdf)
-    run = run_calib("route", yaml, tmp_path / "p.csv", "--out", tmp_path / "r")
-    assert (run.code, run.err.count("\n")) == (2, 1)
-    assert "mesh 'upper.stl' is not there" in run.err
-    _write(tmp_path, "", urdf)
-    run = run_calib("sample", yaml, "-n", 3, "--out", tmp_path / "s.csv")
+    run = run_calib("route", _write(tmp_path, _obstacles(), urdf), poses, "--out", tmp_path / "r")
+    assert "mesh 'upper.stl' is not there" in run.refusal()
+    run = run_calib("sample", _write(tmp_path, "", urdf), "-n", 3, "--out", tmp_path / "s.csv")
     assert run.code == 0
     assert "collisions are not checked: mesh 'upper.stl'" in run.err
     assert not (tmp_path / "r").exists()
@@ -356,48 +367,36 @@ def test_no_free_candidate_and_a_missing_mesh_are_said(tmp_path, run_calib):
 
 def test_an_srdf_beside_the_urdf_is_read_and_one_of_another_robot_refused(tmp_path, run_calib):
     yaml = _write(tmp_path, _obstacles())
-    (tmp_path / "arm.srdf").write_text(
-        "<robot name='six axes'><disable_collisions link1='l2' link2='l4' reason='User'/></robot>"
-    )
-    scene = surroundings(calib.load(yaml)).scene
-    assert "l2 - l4" not in {scene.name(k) for k in range(len(scene.pairs))}
-    assert "l2 - l5" in {scene.name(k) for k in range(len(scene.pairs))}
-    srdf = (tmp_path / "arm.srdf").read_text()
-    (tmp_path / "arm.srdf").write_text(srdf.replace("six axes", "six_axes_description"))  # so is z1 of Unitree
-    assert surroundings(calib.load(yaml)).scene.pairs == scene.pairs
+
+    def scene_with(srdf):
+        (tmp_path / "arm.srdf").write_text(srdf)
+        return surroundings(calib.load(yaml)).scene
+
+    srdf = "<robot name='six axes'><disable_collisions link1='l2' link2='l4' reason='User'/></robot>"
+    scene = scene_with(srdf)
+    assert "l2 - l4" not in _names(scene)
+    assert "l2 - l5" in _names(scene)
+    assert scene_with(srdf.replace("six axes", "six_axes_description")).pairs == scene.pairs  # so is z1 of Unitree
     left = srdf.replace("</robot>", "<disable_collisions link1='l2' link2='right_arm'/></robot>")
-    (tmp_path / "arm.srdf").write_text(left)  # of the whole robot, as that of Talos beside its left arm
-    assert surroundings(calib.load(yaml)).scene.pairs == scene.pairs
+    assert scene_with(left).pairs == scene.pairs  # of the whole robot, as that of Talos beside its left arm
     groups = "<robot name='other'><group name='arm'><joint name='j2'/></group></robot>"  # that of z1 disables nothing
-    (tmp_path / "arm.srdf").write_text(groups)
-    assert set(scene.pairs) < set(surroundings(calib.load(yaml)).scene.pairs)
-    (tmp_path / "arm.srdf").write_text(groups.replace("j2", "wrist"))
-    with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
-        surroundings(calib.load(yaml))
-    (tmp_path / "arm.srdf").write_text(srdf.replace("six axes", "other").replace("l4", "wrist"))
-    with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
-        surroundings(calib.load(yaml))
-    (tmp_path / "arm.srdf").write_text("<robot name='other'/>")
-    with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
-        surroundings(calib.load(yaml))
-    (tmp_path / "arm.srdf").write_text("<robot name='six axes'>")
+    assert set(scene.pairs) < set(scene_with(groups).pairs)
+    other = "<robot name='other'/>"
+    for wrong in (groups.replace("j2", "wrist"), srdf.replace("six axes", "other").replace("l4", "wrist"), other):
+        with pytest.raises(DescriptionError, match="is the SRDF of robot 'other'"):
+            scene_with(wrong)
     with pytest.raises(DescriptionError, match=r"arm.srdf: is not XML \(no element found"):
-        surroundings(calib.load(yaml))
-    (tmp_path / "arm.srdf").write_text("<robot name='other'/>")
-    (tmp_path / "p.csv").write_text("pose,j1,j2,j3,j4,j5,j6\na,0.5,0,0,0,0,0\n")
-    for command in ("route", "sample", "select"):
-        given = () if command == "sample" else (tmp_path / "p.csv",)
-        count = () if command == "route" else ("-n", 1)
-        run = run_calib(command, yaml, *given, *count, "--out", tmp_path / "out")
-        assert (run.code, run.err.count("\n")) == (2, 1)
-        assert "is the SRDF of robot 'other'" in run.err
+        scene_with("<robot name='six axes'>")
+    (tmp_path / "arm.srdf").write_text(other)
+    poses = _table(tmp_path / "p.csv", ("a", [0.5, 0, 0, 0, 0, 0]))
+    for command in (("route", yaml, poses), ("sample", yaml, "-n", 1), ("select", yaml, poses, "-n", 1)):
+        assert "is the SRDF of robot 'other'" in run_calib(*command, "--out", tmp_path / "out").refusal()
         assert not (tmp_path / "out").exists()
 
 
 def test_only_what_touches_at_a_home_within_the_limits_is_left_unchecked(tmp_path):
-    folded, near = np.array(
-        [[0, 0, 0, 0, -2.4, 0], [0, 0, 0, 0, -2.0, 0]]
-    )  # the wrist hits the forearm; 17 mm are left
+    # the wrist hits the forearm; 17 mm are left
+    folded, near = np.array([[0, 0, 0, 0, -2.4, 0], [0, 0, 0, 0, -2.0, 0]])
     home = "self_clearance: 20 mm\nhome: {j5: %s}\n"
     touching = calib.load(_write(tmp_path, home % folded[4]))
     assert check_poses(touching, folded[None]).is_free
@@ -435,25 +434,23 @@ def test_a_wall_and_a_turned_reflector_are_in_sight(tmp_path):
     up, behind = np.zeros(6), np.array([np.pi / 2, 0, 0, 0, 0, 0])
     hits = check_poses(robot, np.array([up, behind])).hits
     assert hits[0] == "wall in sight of ball"
-    text = (
-        (tmp_path / "arm.yaml")
-        .read_text()
-        .replace("wall: {box: [0.05, 1, 1], xyz: [2 m", "wall: {sphere: 1, xyz: [9 m")
-    )
-    (tmp_path / "arm.yaml").write_text(
-        text.replace("100 mm]}", "100 mm], acceptance: {angle: 30 deg, axis: [1, 0, 0]}}")
-    )
-    hits = check_poses(calib.load(tmp_path / "arm.yaml"), np.array([up, behind])).hits
-    assert hits == ("", "ball turned away")
+    away = ("wall: {box: [0.05, 1, 1], xyz: [2 m", "wall: {sphere: 1, xyz: [9 m")
+    turned = ("100 mm]}", "100 mm], acceptance: {angle: 30 deg, axis: [1, 0, 0]}}")
+    (tmp_path / "other").mkdir()
+    robot = calib.load(copied(tmp_path / "other", tmp_path / "arm.yaml", away, turned))
+    assert check_poses(robot, np.array([up, behind])).hits == ("", "ball turned away")
+
+
+EYE = """\
+instruments:
+  eye:
+    {kind: pixel, target: ball, camera: {frame: l0, xyz: [3 m, 0, 1 m], rpy: [%s, 0, 90 deg]}, image: [1000, 800],
+     intrinsics: {fx: 900, fy: 900, cx: 500, cy: 400}, board: {kind: chessboard, columns: 4, rows: 3, square: 20 mm}}
+"""
 
 
 def test_a_board_behind_the_arm_is_not_in_sight_of_a_camera_beside_it(tmp_path):
-    camera = "{frame: l0, xyz: [3 m, 0, 1 m], rpy: [-90 deg, 0, 90 deg]}"
-    board = "{kind: chessboard, columns: 4, rows: 3, square: 20 mm}"
-    eye = f"instruments: {{eye: {{kind: pixel, target: ball, camera: {camera}, image: [1000, 800], board: {board}}}}}\n"
-    robot = calib.load(
-        _write(tmp_path, eye.replace("board:", "intrinsics: {fx: 900, fy: 900, cx: 500, cy: 400}, board:"))
-    )
+    robot = calib.load(_write(tmp_path, EYE % "-90 deg"))
     low = np.array([0, 0.8, 0.8, 0, 0, 0])
     hits = check_poses(robot, np.array([low, low + np.array([np.pi - 0.2, 0, 0, 0, 0, 0])])).hits
     assert hits[0] == ""
@@ -461,11 +458,8 @@ def test_a_board_behind_the_arm_is_not_in_sight_of_a_camera_beside_it(tmp_path):
 
 
 def test_a_camera_that_looks_away_sees_nothing_and_that_is_said(tmp_path, run_calib):
-    camera = "{frame: l0, xyz: [3 m, 0, 1 m], rpy: [0, 0, 90 deg]}"  # it looks straight up
-    sees = "image: [1000, 800], intrinsics: {fx: 900, fy: 900, cx: 500, cy: 400}"
-    board = "board: {kind: chessboard, columns: 4, rows: 3, square: 20 mm}"
-    eye = f"instruments: {{eye: {{kind: pixel, target: ball, camera: {camera}, {sees}, {board}}}}}\n"
-    run = run_calib("sample", _write(tmp_path, eye), "--count", 20, "--out", tmp_path / "poses.csv")
+    upwards = _write(tmp_path, EYE % "0")
+    run = run_calib("sample", upwards, "--count", 20, "--out", tmp_path / "poses.csv")
     assert run.code == 0, run.err
     assert "no reading there depends on a free parameter" in run.out
     assert "eye at 0 of 20" in run.err
@@ -473,30 +467,19 @@ def test_a_camera_that_looks_away_sees_nothing_and_that_is_said(tmp_path, run_ca
 
 @pytest.mark.quick(0)
 def test_legs_that_slide_are_rods_on_both_sides(tmp_path):
-    text = (
-        Path("docs/examples/stewart.yaml")
-        .read_text()
-        .replace("stewart.urdf", str(Path("docs/examples/stewart.urdf").resolve()))
-    )
-    (tmp_path / "robot.yaml").write_text(text + "\nobstacles: {ball: {sphere: 10 mm, xyz: [0, 0, 5 m]}}\n")
-    scene = surroundings(calib.load(tmp_path / "robot.yaml")).scene
-    names = {scene.name(k) for k in range(len(scene.pairs))}
-    assert {"leg_1_cylinder - ball", "leg_1_tip - ball"} <= names
+    ball = "\nobstacles: {ball: {sphere: 10 mm, xyz: [0, 0, 5 m]}}\n"
+    scene = surroundings(calib.load(copied(tmp_path, EXAMPLES / "stewart.yaml", more=ball))).scene
+    assert {"leg_1_cylinder - ball", "leg_1_tip - ball"} <= set(_names(scene))
     rods = [body for body in scene.bodies if body.name in ("leg_1_cylinder", "leg_1_tip")]
     assert [2 * body.hull.halfLength for body in rods] == pytest.approx([0.4433621868572532] * 2)
 
 
 @pytest.mark.quick(0)
 @needs_ompl
-@pytest.mark.parametrize(
-    "robot", ["docs/examples/five_bar.yaml", "docs/examples/delta.yaml", "docs/examples/stewart.yaml"]
-)
-def test_closed_loops_are_routed_with_shapes_or_capsules(robot, tmp_path):
-    text = Path(robot).read_text()
-    file = re.search(r'^urdf: "?([^"\n]*)"?', text, re.MULTILINE)
-    text = text.replace(file[0], f"urdf: {Path(robot).resolve().parent / file[1]}")
-    (tmp_path / "robot.yaml").write_text(text + "\nobstacles:\n  far: {sphere: 10 mm, xyz: [5 m, 0, 0]}\n")
-    model = calib.load(tmp_path / "robot.yaml")
+@pytest.mark.parametrize("name", ["five_bar", "delta", "stewart"])
+def test_closed_loops_are_routed_with_shapes_or_capsules(name, tmp_path):
+    far = "\nobstacles:\n  far: {sphere: 10 mm, xyz: [5 m, 0, 0]}\n"
+    model = calib.load(copied(tmp_path, EXAMPLES / f"{name}.yaml", more=far))
     route = plan_route(model, calib.sample(model, 4, 1))
     assert len(route.stops) + len(route.left_out) == 4
     assert any("stand for" in remark for remark in route.remarks)
@@ -522,9 +505,6 @@ def test_without_shapes_nothing_is_checked_and_that_is_said(tmp_path, run_calib)
 
 
 def test_poses_are_shown_in_red_where_they_collide(tmp_path):
-    from viz.inputs import gather
-    from viz.scene_data import scene_data
-
     robot = calib.load(_write(tmp_path, _obstacles()))
     poses = as_poses(robot, np.array([np.zeros(6), [0, 2.5, 0, 0, 0, 0]]), ["home", "low"])
     scene = gather(robot, data=poses).scene
@@ -538,8 +518,6 @@ def test_poses_are_shown_in_red_where_they_collide(tmp_path):
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("kind", ["position", "pose", "orientation", "distance", "touch", "joint_reading"])
 def test_plain_poses_of_every_kind_are_shown(tmp_path, kind):
-    from viz.inputs import gather
-
     place = "{frame: l0, xyz: [0.5 m, 0, 0.3 m], position: unknown, sigma: 10 mm}"
     more = {"distance": f"end: {place}", "touch": f"places: {{plate: {place}}}", "joint_reading": "joint: j2"}
     target = "" if kind == "joint_reading" else ", target: ball"

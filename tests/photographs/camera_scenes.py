@@ -36,6 +36,12 @@ def board_points(columns=5, rows=6, square=SQUARE):
     return np.array([((i + 1) * square, (j + 1) * square, 0.0) for j in range(rows - 1) for i in range(columns - 1)])
 
 
+def pixels_from(views, intrinsics=INTRINSICS):
+    """Pixels of the board's points, one view after the other; views are poses of the board in the camera."""
+    body = board_points()
+    return np.concatenate([pixels_of(body @ view[:3, :3].T + view[:3, 3], intrinsics) for view in views])
+
+
 def tools(n, mount, generator, tilt=28.0):
     """Tool poses from which the camera sees the board, and the board in the camera at each."""
     middle, result, seen = board_points().mean(axis=0), [], []
@@ -56,8 +62,7 @@ def scene(n=12, mount="tool", seed=0, noise=0.2, shift=0.0, turn=0.0, intrinsics
     """A set-up whose robot is off by shift [m] and turn [rad] per axis at each image."""
     generator = np.random.default_rng(seed)
     real, seen = tools(n, mount, generator)
-    body = board_points()
-    pixels = np.concatenate([pixels_of(body @ view[:3, :3].T + view[:3, 3], intrinsics) for view in seen])
+    body, pixels = board_points(), pixels_from(seen, intrinsics)
     pixels = pixels + noise * generator.standard_normal(pixels.shape)
     told = np.array(
         [T @ pose(shift * generator.standard_normal(3), np.rad2deg(turn * generator.standard_normal(3))) for T in real]

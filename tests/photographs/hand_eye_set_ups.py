@@ -26,7 +26,7 @@ from calib.photographs.estimation import plain, rms
 from calib.photographs.hand_eye_calibration import calibrate
 from calib.photographs.hand_eye_result import judge
 from calib.photographs.scene import BoardScene, HandEyePlacement, plane_errors_on_board
-from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, SIZE, board_points, pixels_of, pose, tools
+from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, SIZE, board_points, pixels_from, pose, tools
 
 TABLES = {
     "UR5": [(0.089159, 0, 1), (0, -0.425, 0), (0, -0.39225, 0), (0.10915, 0, 1), (0.09465, 0, -1), (0.0823, 0, 0)],
@@ -118,7 +118,7 @@ def drawn(generator, errors, n, mount, robot, sigma):
     on_base = np.linalg.inv(base) @ (CAMERA if mount == "base" else BOARD)[mount]
     camera, board = (on_base, BOARD[mount]) if mount == "base" else (CAMERA[mount], on_base)
     views = np.linalg.inv(camera) @ (there if mount == "base" else np.linalg.inv(there)) @ board
-    pixels = np.concatenate([pixels_of(body @ view[:3, :3].T + view[:3, 3]) for view in views])
+    pixels = pixels_from(views)
     pixels += sigma * generator.standard_normal(pixels.shape)
     names = tuple(f"shot_{k + 1:03d}" for k in range(n))
     scene = BoardScene(names, told, np.repeat(np.arange(n), len(body)), np.tile(body, (n, 1)), pixels, mount, SIZE)

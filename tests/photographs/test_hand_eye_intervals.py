@@ -31,9 +31,12 @@ def test_errors_of_the_arm_move_the_tool_as_those_of_its_denavit_hartenberg_tabl
     assert np.allclose(own @ own.T, by_table @ by_table.T, atol=1e-8)
 
 
-def dense(case, placed, noise, twists):
+PLACED = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)
+
+
+def dense(case, noise, twists):
     """Residuals, J, W-free covariance of residuals, H of an arm's errors: all rows at once."""
-    r, j, g = rows(case, placed)
+    r, j, g = rows(case, PLACED)
     n = len(case)
     wide = np.zeros((*r.shape, 6 * n))
     for k, image in enumerate(case.image):
@@ -47,10 +50,10 @@ def dense(case, placed, noise, twists):
 
 def test_the_criterion_is_the_restricted_likelihood_of_all_rows():
     case = scene(n=6, shift=3e-4, turn=3e-4)
-    placed, twists = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS), arm_twists(case.tool)
-    linear, ours, theirs = linearise(case, placed).with_arm(twists), [], []
+    twists = arm_twists(case.tool)
+    linear, ours, theirs = linearise(case, PLACED).with_arm(twists), [], []
     for noise in (ErrorSizes(0.2, 3e-4, 2e-4, 4e-4), ErrorSizes(0.3, 1e-4, 5e-4, 1e-4)):
-        r, j, own, by_arm = dense(case, placed, noise, twists)
+        r, j, own, by_arm = dense(case, noise, twists)
         whole = own + noise.arm**2 * by_arm @ by_arm.T
         weighed = np.linalg.solve(whole, np.column_stack([j, r]))
         a, b = j.T @ weighed[:, :-1], j.T @ weighed[:, -1]
@@ -64,12 +67,8 @@ def test_the_criterion_is_the_restricted_likelihood_of_all_rows():
 def test_sizes_are_found_where_the_criterion_is_flat():
     """Its gradient is that of differences; where it vanishes is a minimum, wherever the search began."""
     case = scene(n=7, shift=1e-3, turn=5e-3)
-    placed = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)
-    linear, at, step = (
-        linearise(case, placed).with_arm(arm_twists(case.tool)),
-        np.log([0.25, 3e-4, 2e-4, 4e-4]),
-        1e-4,
-    )
+    linear = linearise(case, PLACED).with_arm(arm_twists(case.tool))
+    at, step = np.log([0.25, 3e-4, 2e-4, 4e-4]), 1e-4
     ends = [[criterion(linear, at + sign * one)[0] for sign in (1, -1)] for one in step * np.eye(4)]
     differences = [(ahead - back) / (2 * step) for ahead, back in ends]
     assert np.allclose(criterion(linear, at)[1], differences, rtol=1e-5, atol=1e-5)
@@ -81,12 +80,11 @@ def test_sizes_are_found_where_the_criterion_is_flat():
 @pytest.mark.parametrize("weights", [ErrorSizes(0.3), ErrorSizes(0.2, 4e-4, 2e-4)])
 def test_the_covariance_is_what_errors_of_each_size_do_to_the_estimate(weights, monkeypatch):
     case = scene(n=6, shift=3e-4, turn=3e-4)
-    placed, twists = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS), arm_twists(case.tool)
-    noise = ErrorSizes(0.25, 3e-4, 2e-4, 5e-4)
+    twists, noise = arm_twists(case.tool), ErrorSizes(0.25, 3e-4, 2e-4, 5e-4)
     monkeypatch.setattr("calib.photographs.intervals.find_noise", lambda *_: noise)
-    arm, covariance, _ = intervals(linearise(case, placed), twists, weights, noise)
-    _, j, own, by_arm = dense(case, placed, noise, twists)
-    of_weights = dense(case, placed, weights, twists)[2]
+    arm, covariance, _ = intervals(linearise(case, PLACED), twists, weights, noise)
+    _, j, own, by_arm = dense(case, noise, twists)
+    of_weights = dense(case, weights, twists)[2]
     weighed = np.linalg.solve(of_weights, j)
     estimator = np.linalg.solve(j.T @ weighed, weighed.T)
     whole = own + noise.arm**2 * by_arm @ by_arm.T

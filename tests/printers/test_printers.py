@@ -59,15 +59,8 @@ def printer_cfg(seed=0, noise=0.01, spans=True, behind=False, true=TRUE, offset=
     rng = np.random.default_rng(seed)
     lines = ["[printer]", "kinematics: delta", f"delta_radius: {true[0]}", ""]
     for k, tower in enumerate("abc"):
-        lines += [
-            f"[stepper_{tower}]  # tower",
-            f"position_endstop: {true[7 + k]}",
-            f"arm_length: {true[4 + k]}",
-            f"angle: {true[1 + k]}",
-            "rotation_distance: 32",
-            "microsteps: 16",
-            "",
-        ]
+        lines += [f"[stepper_{tower}]  # tower", f"position_endstop: {true[7 + k]}", f"arm_length: {true[4 + k]}"]
+        lines += [f"angle: {true[1 + k]}", "rotation_distance: 32", "microsteps: 16", ""]
     body = ["[delta_calibrate]", "radius: 80"]
 
     def steps(xyz):
@@ -82,11 +75,7 @@ def printer_cfg(seed=0, noise=0.01, spans=True, behind=False, true=TRUE, offset=
         radii = (5 if k < 6 else 68, 68)
         ends = [np.array([r * np.cos(t), r * np.sin(t), 1.0]) for r, t in zip(radii, turns, strict=True)]
         length = np.linalg.norm(ends[0] - ends[1]) + 2 * noise * rng.standard_normal()
-        body += [
-            f"distance{k}: {length:.3f}",
-            f"distance{k}_pos1: {steps(ends[0])}",
-            f"distance{k}_pos2: {steps(ends[1])}",
-        ]
+        body += [f"distance{k}: {length:.3f}", *(f"distance{k}_pos{n}: {steps(end)}" for n, end in enumerate(ends, 1))]
     return "\n".join([*lines, *(f"#*# {line}" if behind else line for line in body), ""])
 
 
@@ -101,10 +90,21 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+def described(name="printer.cfg"):
+    """The robot of settings, written as p.yaml and p.csv."""
+    done = run("init", "--klipper", name, "--out", "p.yaml")
+    assert done.exit_code == 0, done.output
+    return calib.load("p.yaml")
+
+
+def seven_heights():
+    """Settings with the first seven heights alone."""
+    lines = printer_cfg(spans=False).split("\n")
+    return "\n".join(line for line in lines if not any(f"height{k}" in line for k in range(7, 13)))
+
+
 def test_the_robot_is_where_three_spheres_meet_and_its_derivatives_are_right(folder):
-    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
-    robot = calib.load("p.yaml")
-    rng = np.random.default_rng(1)
+    robot, rng = described(), np.random.default_rng(1)
     scale = np.array([p.sigma_si for p in robot.parameters])
     robot = robot.with_parameters(robot.values + scale * rng.standard_normal(len(scale)))
     g = geometry_of(robot)
@@ -137,11 +137,10 @@ def test_a_simulated_printer_is_found_from_its_printer_cfg_and_written_back(fold
     done = run("compensate", "out", "part.gcode", "--out", "c.gcode")
     assert done.exit_code == 2
     assert "holds the result itself: calib export --format klipper" in done.output
+    ours = geometry_of(calib.load("out"))
     places = np.random.default_rng(5).uniform([-60, -60, 1], [60, 60, 40], (50, 3))
     down = 1e-3 * np.array([carriages(TRUE, place) for place in places])
-    result = geometry_of(calib.load("out")).nozzle(down)
-    assert np.abs(1e3 * result - places)[:, 2].max() < 0.04
-    ours = geometry_of(calib.load("out"))
+    assert np.abs(1e3 * ours.nozzle(down) - places)[:, 2].max() < 0.04
     for firmware in ("klipper", "marlin", "duet"):
         p = as_firmware(firmware, (folder / f"{firmware}.txt").read_text())
         down = 1e-3 * np.array([carriages(p, place) for place in places])
@@ -149,7 +148,7 @@ def test_a_simulated_printer_is_found_from_its_printer_cfg_and_written_back(fold
 
 
 def test_a_fit_shows_the_errors_of_what_the_owner_has_saved(folder):
-    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
+    described()
     printer = read_printer("printer.cfg", "klipper")
     errors = 1e3 * residuals(printer.geometry, printer.rows)
     heights = np.array([len(row.places) == 1 for row in printer.rows])
@@ -173,21 +172,16 @@ def test_a_fit_shows_the_errors_of_what_the_owner_has_saved(folder):
 
 def test_what_probing_cannot_know_stays_as_designed(folder):
     """Seven heights alone would give arms of any length: these are held, and angles stay near the design."""
-    text = printer_cfg(spans=False)
-    text = "\n".join(line for line in text.split("\n") if not any(f"height{k}" in line for k in range(7, 13)))
-    (folder / "printer.cfg").write_text(text)
-    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
-    fit = calib.fit(calib.load("p.yaml"), calib.read_measurements("p.csv", calib.load("p.yaml")))
-    assert np.allclose(1e3 * np.array(geometry_of(fit.robot).arms), TRUE[4:7], atol=1e-6)
-    assert np.abs(np.degrees(geometry_of(fit.robot).angles) - [210, 330, 90]).max() < 0.6
+    (folder / "printer.cfg").write_text(seven_heights())
+    geometry = geometry_of(calib.fit(described(), "p.csv").robot)
+    assert np.allclose(1e3 * np.array(geometry.arms), TRUE[4:7], atol=1e-6)
+    assert np.abs(np.degrees(geometry.angles) - [210, 330, 90]).max() < 0.6
 
 
 def test_seven_heights_do_not_say_that_a_carriage_moves_too_far(folder):
     """They leave one degree of freedom or two, and three scales none: noise that is small by chance made them sure."""
-    lines = printer_cfg(spans=False).split("\n")
-    (folder / "printer.cfg").write_text("\n".join(s for s in lines if not any(f"height{k}" in s for k in range(7, 13))))
-    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
-    robot = calib.load("p.yaml")
+    (folder / "printer.cfg").write_text(seven_heights())
+    robot = described()
     q = calib.read_measurements("p.csv", robot).joints
     for seed in range(5):
         rng = np.random.default_rng(seed)
@@ -197,10 +191,13 @@ def test_seven_heights_do_not_say_that_a_carriage_moves_too_far(folder):
         assert "joint_scaled" not in [reason.code for reason in reasons]
 
 
-def test_saved_rows_count_and_included_files_are_named(folder):
+def test_saved_rows_and_gears_count_and_included_files_are_named(folder):
     (folder / "saved.cfg").write_text(printer_cfg(behind=True))
     plain, saved = (read_printer(name, "klipper") for name in ("printer.cfg", "saved.cfg"))
     assert [row.places for row in plain.rows] == [row.places for row in saved.rows]
+    (folder / "geared.cfg").write_text(GOOD.replace("distance: 32", "distance: 96\ngear_ratio: 80:20, 3:4"))
+    geared = read_printer("geared.cfg", "klipper")
+    np.testing.assert_allclose(geared.rows[5].places, plain.rows[5].places, rtol=1e-12)
     (folder / "main.cfg").write_text("[include printer.cfg]\n")
     with pytest.raises(CalibrationError, match="it may be in a file that is included"):
         read_printer("main.cfg", "klipper")
@@ -255,19 +252,11 @@ BAD_KLIPPER = [
     ("delta_radius: 103.3", "delta_radius: 303.3", "reach nothing; correct delta_radius or arm_length"),
     ("delta_radius: 103.3", "delta_radius: -3", "reach nothing"),
     ("angle: 210.12", "angle: 30", "tower a is at 30 deg, and tower c at 90 deg; towers are 120 deg apart"),
-    (
-        "position_endstop: 240.9",
-        "position_endstop: -240.9",
-        "switch of tower a would trip with the nozzle at -240.9 mm",
-    ),
+    ("endstop: 240.9", "endstop: -240.9", "switch of tower a would trip with the nozzle at -240.9 mm"),
     ("arm_length: 208.25", "", "[stepper_a] has no 'arm_length'"),
     ("[stepper_b]", "[stepper_x]", "no [stepper_b]; a delta has stepper_a, stepper_b and stepper_c"),
     ("position_endstop: 240.9", "", "[stepper_a] has no 'position_endstop'"),
-    (
-        "kinematics: delta",
-        "kinematics: rotary_delta",
-        "only deltas with carriages on towers can be read here. Begin with",
-    ),
+    ("kinematics: delta", "kinematics: rotary_delta", "only deltas with carriages on towers can be read here. Begin"),
     ("rotation_distance: 32", "", "[stepper_a] has no 'rotation_distance'"),
     ("rotation_distance: 32", "rotation_distance: 0", "must be positive"),
     ("rotation_distance: 32", "rotation_distance: 40", "probe again"),
@@ -382,7 +371,7 @@ def test_settings_alone_make_a_robot_and_others_are_no_printer(folder):
 
 def test_check_looks_at_what_was_measured_heights_and_distances(folder):
     """At a probed height both copies of the robot are at one place, where a distance has no direction."""
-    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
+    described()
     done = run("check", "p.yaml", "p.csv")
     assert done.exit_code == 0, done.output
     assert done.output.startswith("25 poses (p.csv), 25 measured values")
@@ -391,7 +380,7 @@ def test_check_looks_at_what_was_measured_heights_and_distances(folder):
 @pytest.mark.quick(0)
 def test_another_probing_verifies_a_fit_whatever_its_offset_and_its_rows(folder):
     """The fit has distances and heights with an offset of 16 mm; the later probing has heights alone, with 15.5 mm."""
-    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
+    described()
     assert run("fit", "p.yaml", "p.csv", "--out", "out", "--no-pages").exit_code == 0
     (folder / "later.cfg").write_text(printer_cfg(spans=False, offset=15.5))
     done = run("init", "--klipper", "later.cfg", "--out", "later.yaml")

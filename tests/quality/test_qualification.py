@@ -80,14 +80,13 @@ def test_intervals_of_another_width_are_found(monkeypatch, factor, amount):
 
 
 def test_positions_that_are_a_hundredth_of_a_micrometre_off_are_found(monkeypatch):
-    changed_result(monkeypatch, kinematics, "relative_pose", lambda poses: _shifted(poses, 1e-8))
+    def shifted(poses):
+        poses = np.array(poses)
+        poses[:, 0, 3] += 1e-8 * poses[:, 0, 0]
+        return poses
+
+    changed_result(monkeypatch, kinematics, "relative_pose", shifted)
     assert failures(robot_of("six-axis arm")) == ["positions of the six-axis arm"]
-
-
-def _shifted(poses, far):
-    poses = np.array(poses)
-    poses[:, 0, 3] += far * poses[:, 0, 0]
-    return poses
 
 
 def robot_of(name):
@@ -100,19 +99,12 @@ def robot_of(name):
 
 
 def test_loops_that_stay_a_tenth_of_a_micrometre_open_are_found(monkeypatch):
-    original = Robot.assemble
-
-    def left_open(*given, **named):
-        found = original(*given, **named)
-        return replace(found, passive=found.passive + 1e-7)
-
-    monkeypatch.setattr(Robot, "assemble", left_open)
+    changed_result(monkeypatch, Robot, "assemble", lambda found: replace(found, passive=found.passive + 1e-7))
     assert "positions of the planar five-bar" in failures(robot_of("planar five-bar"))
 
 
 def test_derivatives_that_are_a_hundred_thousandth_too_large_are_found(monkeypatch):
-    original = Robot.jacobian
-    monkeypatch.setattr(Robot, "jacobian", lambda *given: 1.00001 * original(*given))
+    changed_result(monkeypatch, Robot, "jacobian", lambda found: 1.00001 * found)
     assert failures(robot_of("SCARA")) == ["Jacobian of the SCARA"]
 
 
@@ -124,24 +116,23 @@ def test_a_verdict_that_finds_nothing_is_found(monkeypatch):
 
 
 def test_a_claim_that_is_too_small_is_found(monkeypatch):
-    changed_result(monkeypatch, performance, "judge", lambda found: _claiming(found, 0.5))
+    def halved(found):
+        told = replace(found.claim.at_measured_poses, rms=0.5 * found.claim.at_measured_poses.rms)
+        return replace(found, claim=replace(found.claim, at_measured_poses=told))
+
+    changed_result(monkeypatch, performance, "judge", halved)
     assert failures(performance._check_simulated) == ["claim about a simulated robot"]
 
 
-def _claiming(found, part):
-    told = replace(found.claim.at_measured_poses, rms=part * found.claim.at_measured_poses.rms)
-    return replace(found, claim=replace(found.claim, at_measured_poses=told))
-
-
 def test_numbers_that_differ_in_the_last_bit_are_found(monkeypatch):
-    found = iter((0.0, 1e-16))
-    changed_result(monkeypatch, operation, "calibrate", lambda fit: _nudged(fit, next(found)))
+    factors = iter((1.0, 1 + 2e-16))
+
+    def nudged(fit):
+        fit.rows.residuals[0] *= next(factors)
+        return fit
+
+    changed_result(monkeypatch, operation, "calibrate", nudged)
     assert failures(operation._check_repeats) == ["same numbers twice"]
-
-
-def _nudged(fit, by):
-    fit.rows.residuals[0] *= 1 + 2 * by
-    return fit
 
 
 @pytest.mark.quick(0)
@@ -182,22 +173,17 @@ def test_packages_that_are_missing_or_too_old_are_found(tmp_path):
     assert next(installation._dependency(Requirement("no-such-package>=1"))).found == "not installed"
 
 
-def test_an_old_linear_algebra_library_is_found(monkeypatch):
-    old = [{"user_api": "blas", "internal_api": "openblas", "version": "0.3.7", "architecture": "Haswell"}]
-    monkeypatch.setattr(installation.threadpoolctl, "threadpool_info", lambda: old)
-    (check,) = installation._linear_algebra()
-    assert check.outcome is Outcome.FAIL
-
-
-def test_a_linear_algebra_library_of_another_package_computes_nothing_here(monkeypatch):
+def test_an_old_linear_algebra_library_is_found_and_one_of_another_package_computes_nothing_here(monkeypatch):
     packages = Path(np.__file__).parent.parent
-    entry = {"user_api": "blas", "internal_api": "openblas", "version": "0.3.7"}
-    loaded = [
+    entry = {"user_api": "blas", "internal_api": "openblas", "version": "0.3.7", "architecture": "Haswell"}
+    of_opencv, of_numpy = (
         entry | {"filepath": str(packages / folder / "libopenblas.so")}
         for folder in ("opencv_python_headless.libs", "numpy.libs")
-    ]
-    monkeypatch.setattr(installation.threadpoolctl, "threadpool_info", lambda: loaded)
-    assert len(list(installation._linear_algebra())) == 1  # NumPy's
+    )
+    for loaded in ([entry], [of_opencv, of_numpy]):
+        monkeypatch.setattr(installation.threadpoolctl, "threadpool_info", lambda loaded=loaded: loaded)
+        (check,) = installation._linear_algebra()
+        assert check.outcome is Outcome.FAIL
 
 
 def test_work_that_ends_in_an_error_is_a_failed_check():

@@ -6,6 +6,7 @@ What is read is made by other code: the six-axis arm written out, formulas of po
 import ast
 import importlib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from tests.core.instruments.test_kind_coverage import BALL, Chain, six_axis_chai
 from tests.kind_checks import brought, kind_error
 from tests.project import SHARED
 from tests.six_axis_arm import joints, write_six_axis
+from tests.urdf_trees import urdf_of
 from viz.error_charts import error_charts
 from viz.joint_charts import dials
 from viz.result_charts import joint_shares
@@ -49,12 +51,11 @@ OFF = 0.02 * np.array([[1, -1, 0.5], [-1, 1, 1], [0.5, 1, -1]])  # of the taxels
 TAXELS = {"palm": [0.5, 0.0, 0.3], "wrist": [0.6, 0.08, 0.5], "elbow": [0.45, -0.08, 0.6]}
 SENSOR = np.array([0.03, -0.02, 0.08, 0.1, 2.0, -0.5])
 SIGMA, ARCSEC = 2e-5, np.radians(1 / 3600)
-MOUNT = """\
-<robot name="mount"><link name="ground"/><link name="fork"/><link name="cradle"/><link name="tube"/>
-<joint name="azimuth" type="continuous"><parent link="ground"/><child link="fork"/><axis xyz="0 0 -1"/></joint>
-<joint name="altitude" type="continuous"><parent link="fork"/><child link="cradle"/><axis xyz="0 -1 0"/></joint>
-<joint name="collimation" type="fixed"><parent link="cradle"/><child link="tube"/></joint></robot>
-"""
+MOUNT = urdf_of(
+    ("azimuth", "continuous", "ground", "fork", '<axis xyz="0 0 -1"/>'),
+    ("altitude", "continuous", "fork", "cradle", '<axis xyz="0 -1 0"/>'),
+    ("collimation", "fixed", "cradle", "tube"),
+)
 MOUNT_YAML = """\
 urdf: mount.urdf
 name_mot: [azimuth, altitude]
@@ -197,10 +198,7 @@ def pegged(folder, true=NEAR, stated=4):
     return robot, true | pin | at, drawn
 
 
-DRIVE = """\
-<robot name="drive"><link name="ground"/><link name="arm"/>
-<joint name="elbow" type="continuous"><parent link="ground"/><child link="arm"/><axis xyz="0 0 1"/></joint></robot>
-"""
+DRIVE = urdf_of(("elbow", "continuous", "ground", "arm", '<axis xyz="0 0 1"/>'))
 DRIVE_YAML = """\
 urdf: drive.urdf
 name_mot: [elbow]
@@ -233,16 +231,12 @@ def driven(folder, n=300):
     return robot, TURNS, drawn
 
 
-MACHINE = "<robot name='machine'><link name='bed'/>" + "".join(
-    f"<link name='{child}'/><joint name='{name}' type='{kind}'><parent link='{parent}'/><child link='{child}'/>"
-    f"<origin xyz='{at}'/><axis xyz='{axis}'/><limit lower='-9' upper='9' effort='0' velocity='0'/></joint>"
-    for name, kind, parent, child, at, axis in (
-        ("x", "prismatic", "bed", "saddle", "0 0 0", "1 0 0"),
-        ("y", "prismatic", "saddle", "ram", "0 0 0", "0 1 0"),
-        ("z", "prismatic", "ram", "spindle", "0 0 0", "0 0 1"),
-        ("a", "revolute", "bed", "cradle", "0.2 0.3 -0.2", "1 0 0"),
-        ("c", "revolute", "cradle", "table", "0 0 0.05", "0 0 1"),
-    )
+MACHINE = urdf_of(
+    ("x", "prismatic", "bed", "saddle", '<axis xyz="1 0 0"/>'),
+    ("y", "prismatic", "saddle", "ram", '<axis xyz="0 1 0"/>'),
+    ("z", "prismatic", "ram", "spindle", '<axis xyz="0 0 1"/>'),
+    ("a", "revolute", "bed", "cradle", '<origin xyz="0.2 0.3 -0.2"/><axis xyz="1 0 0"/>'),
+    ("c", "revolute", "cradle", "table", '<origin xyz="0 0 0.05"/><axis xyz="0 0 1"/>'),
 )
 MACHINE_YAML = """\
 urdf: machine.urdf
@@ -266,7 +260,7 @@ def turned(vector):
 
 def machined(folder):
     """A trunnion that turns a ball about a and c; the probe is at its centre, off by the noise."""
-    robot, e = load(folder, "machine.yaml", MACHINE_YAML, MACHINE + "</robot>"), AXES
+    robot, e = load(folder, "machine.yaml", MACHINE_YAML, MACHINE), AXES
     grid = np.radians([(a, c) for a in (-90, -60, -30, 0, 30) for c in range(0, 360, 45)])
     ball = turned(np.outer(grid[:, 1], [0, 0, 1])).apply([e["ball.x"], e["ball.y"], e["ball.z"]])
     ball = turned([e["EA0C"], e["EB0C"], 0]).apply(ball) + np.array([e["EX0C"], e["EY0C"], 0.05])
@@ -280,11 +274,11 @@ def machined(folder):
     return robot, AXES, drawn
 
 
-MOVER = "<robot name='mover'><link name='room'/>" + "".join(
-    f"<link name='at_{name}'/><joint name='{name}' type='prismatic'><parent link='{parent}'/><child link='at_{name}'/>"
-    f"<axis xyz='{axis}'/><limit lower='-2' upper='2' effort='0' velocity='0'/></joint>"
-    for name, parent, axis in (("x", "room", "1 0 0"), ("y", "at_x", "0 1 0"), ("z", "at_y", "0 0 1"))
-)
+MOVER = urdf_of(
+    ("x", "prismatic", "room", "at_x", '<axis xyz="1 0 0"/>'),
+    ("y", "prismatic", "at_x", "at_y", '<axis xyz="0 1 0"/>'),
+    ("z", "prismatic", "at_y", "at_z", '<axis xyz="0 0 1"/>'),
+).replace('9"', '2"')  # limits of 2 m
 ANCHORS = {"a": [0.0, -1.6, -0.12], "b": [1.3, 1.2, -0.15], "c": [-1.4, 0.75, -0.15], "d": [0.02, 0.0, 2.3]}
 SPOOL, GROWTH, GEAR = 0.0757, 4e-4, 20 / 255
 
@@ -298,7 +292,7 @@ def spooled(folder):
         for name, at in ANCHORS.items()
     )
     yaml = "urdf: mover.urdf\nname_mot: [x, y, z]\nbase: {frame: room}\ntargets: {mover: {frame: at_z}}\n"
-    robot = load(folder, "mover.yaml", f"{yaml}parametrisation: []\ninstruments:\n{words}", MOVER + "</robot>")
+    robot = load(folder, "mover.yaml", f"{yaml}parametrisation: []\ninstruments:\n{words}", MOVER)
     q = np.random.default_rng(4).uniform([-0.6, -0.6, 0.0], [0.6, 0.6, 0.6], (60, 3))
     turns = np.linspace(-6.0, 6.0, 24001)
     radii = SPOOL + GROWTH * (turns[1:] + turns[:-1]) / 2
@@ -329,28 +323,34 @@ CASES = {
 }
 
 
-def coverage(case, folder, n):
-    """Part of n calibrations whose 95 % interval holds the truth, of each parameter; mean of chi-square per freedom."""
-    _, true, drawn = case(folder)
-    hits, squares = [], []
-    for seed in range(n):
-        data = drawn(np.random.default_rng([9, seed]))
-        fit = calib.fit(data.robot, data)
-        chosen = [fit.free_names.index(name) for name in true]
-        missed = fit.robot.values[fit.unknowns.index][chosen] - list(true.values())
-        hits.append(np.abs(missed) <= fit.statistics.half_width[chosen])
-        squares.append(fit.chi_square.value / fit.chi_square.freedom)
-    return np.mean(hits, axis=0), float(np.mean(squares))
+def fit_of(case, folder, seed=1):
+    """A calibration of a case."""
+    data = case(folder)[2](np.random.default_rng(seed))
+    return calib.fit(data.robot, data)
+
+
+def found_of(fit):
+    """What a fit found, by name."""
+    return dict(zip(fit.free_names, fit.robot.values[fit.unknowns.index], strict=True))
 
 
 @pytest.mark.quick(0)
 @pytest.mark.amount(3, 40)
 @pytest.mark.parametrize("case", CASES)
 def test_intervals_hold_the_truth(tmp_path, case, amount):
-    parts, chi_square = coverage(CASES[case], tmp_path, amount)
+    _, true, drawn = CASES[case](tmp_path)
+    hits, squares = [], []
+    for seed in range(amount):
+        data = drawn(np.random.default_rng([9, seed]))
+        fit = calib.fit(data.robot, data)
+        chosen = [fit.free_names.index(name) for name in true]
+        missed = fit.robot.values[fit.unknowns.index][chosen] - list(true.values())
+        hits.append(np.abs(missed) <= fit.statistics.half_width[chosen])
+        squares.append(fit.chi_square.value / fit.chi_square.freedom)
+    parts = np.mean(hits, axis=0)
     assert np.all(parts >= binom.ppf(1e-4 / len(parts), amount, 0.95) / amount)
     assert np.mean(parts) >= 0.95 - 0.4 / np.sqrt(amount)
-    assert chi_square == pytest.approx(1.0, abs=0.5 / np.sqrt(amount))  # 4 standard deviations of 70 freedoms
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.5 / np.sqrt(amount))  # 4 standard deviations of 70 freedoms
 
 
 VIEWS = View(
@@ -362,12 +362,7 @@ ENTRIES = {
     "sighting": {"points": {"a": {"frame": "l0"}, "b": {"frame": "l1", "position": "unknown"}}},
     "pointing": {},
     "height": {"plane": {"frame": "l1", "orientation": "unknown", "position": "unknown"}},
-    "cable": {
-        "anchor": {"frame": "l0"},
-        "length": "unknown",
-        "spool": {"value": "75 mm", "sigma": "1 mm"},
-        "gear": 0.1,
-    },
+    "cable": {"anchor": {"frame": "l0"}, "length": "unknown", "spool": {"value": 0.075, "sigma": 0.001}, "gear": 0.1},
     "hole_pattern": {"pattern": {"frame": "l0"}, "pitch": {"value": "25 mm", "sigma": "1 mm"}, "holes": [30, 30]},
 }
 
@@ -409,18 +404,15 @@ def test_a_reading_that_names_no_place_is_not_lost(tmp_path):
 
 @pytest.mark.quick(0)
 def test_a_wrong_nearest_hole_does_not_pass(tmp_path):
-    _, _, drawn = pegged(tmp_path, TRUE)
-    data = drawn(np.random.default_rng(0))  # the nominal arm is off by half a pitch
-    verdict = judge(calib.fit(data.robot, data))
+    verdict = judge(fit_of(partial(pegged, true=TRUE), tmp_path, 0))  # the nominal arm is off by half a pitch
     assert verdict.grade == "FAIL"
     assert any("from the nearest hole of board: state more" in reason.text for reason in verdict.reasons)
 
 
 def test_a_pitch_that_is_no_length_is_refused():
+    entries = {"kind": "hole_pattern"} | ENTRIES["hole_pattern"] | {"pitch": "0 mm"}
     with pytest.raises(ValueError, match="must be positive: a length"):
-        KINDS["hole_pattern"].section.model_validate(
-            {"kind": "hole_pattern"} | ENTRIES["hole_pattern"] | {"pitch": "0 mm"}
-        )
+        KINDS["hole_pattern"].section.model_validate(entries)
 
 
 def test_play_has_a_memory():
@@ -438,14 +430,13 @@ def test_play_has_a_memory():
 def test_a_stated_side_of_the_play_is_taken_and_a_missing_column_is_named(tmp_path):
     robot, _, drawn = driven(tmp_path, 30)
     data = drawn(np.random.default_rng(0))
-    columns = data.to_dict(robot)
+    columns = {key: np.array(cells) for key, cells in data.to_dict(robot).items() if key != "pose"}
     assert {"play_elbow", "current"} <= columns.keys()  # a table that is written says it
-    columns["play_elbow"] = [0.25] * 30
-    again = calib.as_measurements(robot, {key: np.array(cells) for key, cells in columns.items() if key != "pose"})
+    again = calib.as_measurements(robot, columns | {"play_elbow": np.full(30, 0.25)})
     assert np.all(again.conditions.column("play_elbow") == 0.25)
     del columns["current"]
     with pytest.raises(calib.DataError, match="no column 'current', on which a joint term of 'elbow' depends"):
-        calib.as_measurements(robot, {key: np.array(cells) for key, cells in columns.items() if key != "pose"})
+        calib.as_measurements(robot, columns)
 
 
 def test_no_table_of_a_joint_holds_its_play_or_what_a_column_winds_up(tmp_path):
@@ -463,15 +454,13 @@ def test_no_table_of_a_joint_holds_its_play_or_what_a_column_winds_up(tmp_path):
 
 @pytest.mark.quick(0)
 def test_what_a_hand_that_turns_about_the_vertical_alone_cannot_tell_is_named(tmp_path):
-    urdf = "<robot name='scara'><link name='l0'/><link name='hand'/>" + "".join(
-        f"<link name='l{k + 1}'/><joint name='{n}' type='{t}'><parent link='l{k}'/><child link='l{k + 1}'/>"
-        f"<axis xyz='{axis}'/><limit lower='-9' upper='9' effort='0' velocity='0'/></joint>"
-        for k, (n, t, axis) in enumerate(
-            [(axis, "prismatic", unit) for axis, unit in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True)]
-            + [("yaw", "revolute", "0 0 1")]
-        )
+    urdf = urdf_of(
+        ("x", "prismatic", "l0", "l1", '<axis xyz="1 0 0"/>'),
+        ("y", "prismatic", "l1", "l2", '<axis xyz="0 1 0"/>'),
+        ("z", "prismatic", "l2", "l3", '<axis xyz="0 0 1"/>'),
+        ("yaw", "revolute", "l3", "l4", '<axis xyz="0 0 1"/>'),
+        ("end", "fixed", "l4", "hand"),
     )
-    urdf += "<joint name='end' type='fixed'><parent link='l4'/><child link='hand'/></joint></robot>"
     yaml = "urdf: scara.urdf\nname_mot: [x, y, z, yaw]\nbase: {frame: l0}\npriors: false\n"
     yaml += "targets: {camera: {frame: hand, position: unknown, orientation: unknown}}\ninstruments:\n"
     yaml += "  camera: {kind: sighting, points: {marker: {frame: l0, position: unknown}}}\nparametrisation: []\n"
@@ -484,8 +473,7 @@ def test_what_a_hand_that_turns_about_the_vertical_alone_cannot_tell_is_named(tm
     with pytest.raises(calib.NotIdentifiableError, match=r"not separable: camera\.z, marker\.z; hold 1 of them"):
         calib.fit(robot, data)
     held = robot.fix("marker.z")
-    fit = calib.fit(held, calib.as_measurements(held, q, {"camera": data.readings["camera"]}))
-    found = dict(zip(fit.free_names, fit.robot.values[fit.unknowns.index], strict=True))
+    found = found_of(calib.fit(held, calib.as_measurements(held, q, {"camera": data.readings["camera"]})))
     assert [found["camera.x"], found["camera.y"]] == pytest.approx([-0.456, -0.037], abs=2e-4)
 
 
@@ -511,10 +499,10 @@ def test_stars_on_both_sides_of_an_equatorial_mount_give_the_published_terms(tmp
     q, stars = (np.radians(np.column_stack([lst - at[:, 0], at[:, 1]])) for at in (read, true))
     yaml = MOUNT_YAML.replace(", sigma: 5 arcsec", "").partition("joint_terms")[0] + "held: [IA, AW]\n"
     robot = load(tmp_path, "mount.yaml", yaml, MOUNT)
-    fit = calib.fit(robot, calib.as_measurements(robot, q, {"star": stars}))
-    terms = dict(zip(fit.free_names, fit.robot.values[fit.unknowns.index] / ARCSEC, strict=True))
+    found = found_of(calib.fit(robot, calib.as_measurements(robot, q, {"star": stars})))
     published = {"IE": -1613.58, "CA": 216.39, "NPAE": -444.38, "AN": -143.16}
-    assert terms == pytest.approx(published, abs=5.0)  # a standard deviation is 7 to 21 arc seconds
+    # a standard deviation is 7 to 21 arc seconds
+    assert {name: value / ARCSEC for name, value in found.items()} == pytest.approx(published, abs=5.0)
 
 
 @pytest.mark.skipif(not (SHARED / "telescope_altaz").is_dir(), reason="the stars are not here")
@@ -539,17 +527,13 @@ def position(anchors, lengths, noise):
 
 
 def test_a_machine_whose_joints_have_no_parameters_passes_and_has_no_chart_of_joints(tmp_path):
-    _, _, drawn = spooled(tmp_path)
-    data = drawn(np.random.default_rng(1))
-    fit = calib.fit(data.robot, data)
+    fit = fit_of(spooled, tmp_path)
     assert fit.verdict.grade == "PASS"  # a scale of all lengths shows in none of them, spools included
     assert joint_shares(fit) is None
 
 
 def test_offsets_of_a_mount_are_shown_in_arc_seconds_and_no_positions(tmp_path):
-    _, _, drawn = pointed(tmp_path)
-    data = drawn(np.random.default_rng(1))
-    fit = calib.fit(data.robot, data)
+    fit = fit_of(pointed, tmp_path)
     chart = dials(fit)
     words = {str(each["title"]).split()[0]: str(each["title"]).split()[1:] for each in chart.panels}
     assert words.keys() == {"IA", "IE"}
@@ -569,8 +553,7 @@ def test_a_gain_of_the_size_that_the_description_expects_is_no_scaled_joint(tmp_
 
 def test_errors_of_a_mount_that_turns_about_one_place_are_not_drawn_over_places(tmp_path):
     for case, drawn_over_places in ((pointed, False), (sighted, True)):
-        data = case(tmp_path)[2](np.random.default_rng(1))
-        fit = calib.fit(data.robot, data)
+        fit = fit_of(case, tmp_path)
         charts = [chart.name for chart in error_charts(fit, scene_of_fit(fit))]
         assert any("planes" in name for name in charts) == drawn_over_places
 

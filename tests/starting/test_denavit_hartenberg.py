@@ -10,11 +10,12 @@ from click.testing import CliRunner
 import calib
 from calib.core.base.errors import InputError
 from calib.core.robots.robot_files import urdf_of_origins
-from calib.exporting.command import command as export_command
 from calib.exporting.dh_tables import dh_table, table_poses
 from calib.shared.denavit_hartenberg import DhRow
 from calib.starting.command import command as init_command
 from calib.starting.dh_tables import read_dh
+from tests.core.data.test_parameter_files import parameter_file
+from tests.exporting.read_back import in_file
 
 ROUNDING = 1e-12
 """A few dozen roundings of lengths of 1 m, through rpy angles and decimal degrees."""
@@ -65,22 +66,24 @@ def textbook(convention: str, rows: list, sliding: str, q: np.ndarray) -> np.nda
     return product
 
 
-def write_dh_table(folder: Path, name: str) -> Path:
-    convention, rows, sliding = TABLES[name]
+def write_dh_table(path: Path, convention: str, rows: list, sliding: str) -> Path:
     lines = [f"# convention: {convention}", "type,theta [deg],d [mm],a [mm],alpha [deg],lower,upper"]
     for k, (a, d, alpha, theta) in enumerate(rows, start=1):
-        slides = str(k) in sliding
-        limits = "100 mm,1 m" if slides else "-170 deg,170 deg"
-        numbers = f"{np.rad2deg(theta)!r},{d * 1000!r},{a * 1000!r},{np.rad2deg(alpha)!r}".replace("np.float64", "")
-        lines.append(f"{'P' if slides else 'R'},{numbers.replace('(', '').replace(')', '')},{limits}")
-    (folder / f"{name}.csv").write_text("\n".join(lines) + "\n")
-    return folder / f"{name}.csv"
+        kind, limits = ("P", "100 mm,1 m") if str(k) in sliding else ("R", "-170 deg,170 deg")
+        numbers = [float(np.rad2deg(theta)), d * 1000, a * 1000, float(np.rad2deg(alpha))]
+        lines.append(",".join([kind, *map(repr, numbers), limits]))
+    path.write_text("\n".join(lines) + "\n")
+    return path
 
 
 def robot_of(table: Path, out: Path) -> calib.Robot:
     result = CliRunner().invoke(init_command, ["--dh", str(table), "--out", str(out)])
     assert result.exit_code == 0, result.output
     return calib.load(out)
+
+
+def published(name: str, folder: Path) -> calib.Robot:
+    return robot_of(write_dh_table(folder / f"{name}.csv", *TABLES[name]), folder / f"{name}.yaml")
 
 
 def flange_poses(robot: calib.Robot, q: np.ndarray) -> np.ndarray:
@@ -101,8 +104,7 @@ def poses(n: int, table: str) -> np.ndarray:
 
 @pytest.mark.parametrize("name", TABLES)
 def test_a_published_table_becomes_a_robot(name: str, tmp_path: Path) -> None:
-    robot = robot_of(write_dh_table(tmp_path, name), tmp_path / "robot.yaml")
-    q = poses(1000, name)
+    robot, q = published(name, tmp_path), poses(1000, name)
     expected = np.array([textbook(*TABLES[name], row) for row in q])
     assert np.abs(robot.forward(q, "flange") - expected).max() < ROUNDING
     assert robot.joint_names == tuple(f"joint_{k}" for k in range(1, len(TABLES[name][1]) + 1))
@@ -113,81 +115,51 @@ def test_a_published_table_becomes_a_robot(name: str, tmp_path: Path) -> None:
 @pytest.mark.quick(2)
 @pytest.mark.parametrize("name", TABLES)
 @pytest.mark.parametrize("file_format", ["dh", "mdh"])
-def test_in_and_out_and_in_again(name: str, file_format: str, tmp_path: Path) -> None:
-    robot = robot_of(write_dh_table(tmp_path, name), tmp_path / "robot.yaml")
-    out = tmp_path / "out.csv"
-    result = CliRunner().invoke(
-        export_command, [str(tmp_path / "robot.yaml"), "--format", file_format, "--out", str(out)]
-    )
-    assert "held exactly" in result.output
+def test_in_and_out_and_in_again(name: str, file_format: str, tmp_path: Path, run_calib) -> None:
+    robot, out = published(name, tmp_path), tmp_path / "out.csv"
+    assert "held exactly" in run_calib("export", robot.path, "--format", file_format, "--out", out).out
     again = robot_of(out, tmp_path / "again.yaml")
     assert again.joint_names == robot.joint_names
     q = poses(50, name)
     assert np.abs(again.forward(q, "flange") - robot.forward(q, "flange")).max() < ROUNDING
-    limits = [(joint.lower, joint.upper) for joint in robot.urdf.joints if joint.name in robot.joint_names]
-    results = [(joint.lower, joint.upper) for joint in again.urdf.joints if joint.name in robot.joint_names]
-    assert np.allclose(results, limits, rtol=0, atol=1e-15)
+    limits = robot.urdf.limits(robot.joint_names)
+    assert np.allclose(again.urdf.limits(again.joint_names), limits, rtol=0, atol=1e-15)
 
 
 def test_published_poses(tmp_path: Path) -> None:
-    puma = robot_of(write_dh_table(tmp_path, "puma"), tmp_path / "puma.yaml")
     printed = [[0, 0, 1, 0.5963], [0, 1, 0, -0.1501], [-1, 0, 0, -0.0144], [0, 0, 0, 1]]  # Corke's p560 at qn
-    assert np.abs(puma.forward([0, np.pi / 4, np.pi, 0, np.pi / 4, 0], "flange") - printed).max() < 1e-4
-    ur10 = robot_of(write_dh_table(tmp_path, "ur10"), tmp_path / "ur10.yaml")
-    assert ur10.forward(np.zeros(6), "flange")[:3, 3] == pytest.approx([-1.1843, -0.256141, 0.0116], abs=ROUNDING)
+    puma = published("puma", tmp_path).forward([0, np.pi / 4, np.pi, 0, np.pi / 4, 0], "flange")
+    assert np.abs(puma - printed).max() < 1e-4
+    ur10 = published("ur10", tmp_path).forward(np.zeros(6), "flange")
+    assert ur10[:3, 3] == pytest.approx([-1.1843, -0.256141, 0.0116], abs=ROUNDING)
 
 
-def test_a_published_table_comes_back_with_its_numbers(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["ur10", "motoman"])
+def test_a_published_table_comes_back_with_its_numbers(name: str, tmp_path: Path) -> None:
     """No axes of these two are without a common normal of their own but parallel ones, where d is 0 in both."""
-    for name in ("ur10", "motoman"):
-        robot_of(write_dh_table(tmp_path, name), tmp_path / f"{name}.yaml")
-        out = tmp_path / f"{name}_out.csv"
-        CliRunner().invoke(export_command, [str(tmp_path / f"{name}.yaml"), "--format", "dh", "--out", str(out)])
-        rows = read_dh(out).rows[1:-1]
-        values = np.array([(row.a, row.d, np.sin(row.alpha), np.cos(row.alpha), row.beta) for row in rows])
-        expected = np.array([(a, d, np.sin(alpha), np.cos(alpha), 0.0) for a, d, alpha, _ in TABLES[name][1]])
-        expected[-1, 1] = 0.0  # along the last axis: in the row of the tool
-        assert np.abs(values - expected).max() < 1e-9, name
+    calib.export(published(name, tmp_path), tmp_path / "out.csv", "dh")
+    rows = read_dh(tmp_path / "out.csv").rows[1:-1]
+    values = np.array([(row.a, row.d, np.sin(row.alpha), np.cos(row.alpha), row.beta) for row in rows])
+    expected = np.array([(a, d, np.sin(alpha), np.cos(alpha), 0.0) for a, d, alpha, _ in TABLES[name][1]])
+    expected[-1, 1] = 0.0  # along the last axis: in the row of the tool
+    assert np.abs(values - expected).max() < 1e-9
 
 
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("file_format", ["dh", "mdh"])
 @pytest.mark.parametrize("name", ["ur10", "stanford"])
-def test_a_calibrated_robot_is_held_exactly(file_format: str, name: str, tmp_path: Path) -> None:
-    """Errors of every origin, so that no axes are parallel; the file multiplied up here, against Pinocchio."""
-    robot = robot_of(write_dh_table(tmp_path, name), tmp_path / "robot.yaml")
-    generator = np.random.default_rng(8)
-    names = [parameter.name for parameter in robot.parameters if not parameter.name.startswith(("base", "flange."))]
-    robot = robot.with_parameters({item: robot_value(robot, item) + generator.normal(0, 2e-3) for item in names})
-    (tmp_path / "values.csv").write_text(
-        "parameter,value,unit\n"
-        + "".join(f"{p.name},{v!r},\n" for p, v in zip(robot.parameters, robot.values.tolist(), strict=True))
-    )
-    out = tmp_path / "out.csv"
-    arguments = [str(tmp_path / "robot.yaml"), "--parameters", str(tmp_path / "values.csv"), "--format", file_format]
-    assert CliRunner().invoke(export_command, [*arguments, "--out", str(out)]).exit_code == 0
-    lines = [line.split(",") for line in out.read_text().splitlines() if not line.startswith("#")]
-    header = ["joint", "type", "theta [deg]", "d [mm]", "a [mm]", "alpha [deg]", "beta [deg]", "sign", "lower", "upper"]
-    assert lines[0] == header
+def test_a_calibrated_robot_is_held_exactly(file_format: str, name: str, tmp_path: Path, run_calib) -> None:
+    """Errors of every origin, so that no axes are parallel; the file multiplied up, against Pinocchio."""
+    nominal, out = published(name, tmp_path), tmp_path / "out.csv"
+    own = np.array([not parameter.name.startswith(("base", "flange.")) for parameter in nominal.parameters])
+    robot = nominal.with_parameters(nominal.values + own * np.random.default_rng(8).normal(0, 2e-3, len(own)))
+    (tmp_path / "values.csv").write_text(parameter_file(robot))
+    values = ("--parameters", tmp_path / "values.csv")
+    assert run_calib("export", nominal.path, *values, "--format", file_format, "--out", out).code == 0
+    header = next(line for line in out.read_text().splitlines() if not line.startswith("#"))
+    assert header == "joint,type,theta [deg],d [mm],a [mm],alpha [deg],beta [deg],sign,lower,upper"
     q = poses(250, name)
-    worst = 0.0
-    for row, expected in zip(q, flange_poses(robot, q), strict=True):
-        left = list(row)
-        product = np.eye(4)
-        for _, kind, *cells in lines[1:]:
-            theta, d, a, alpha, beta = np.array(cells[:5], dtype=float) * [np.pi / 180, 1e-3, 1e-3, *[np.pi / 180] * 2]
-            value = left.pop(0) if kind != "fixed" else 0.0
-            theta, d = (theta + value, d) if kind != "prismatic" else (theta, d + value)
-            along = pin.SE3(pin.utils.rotate("z", theta), np.array([0, 0, d])).homogeneous
-            turned = pin.utils.rotate("x", alpha) @ pin.utils.rotate("y", beta)
-            across = pin.SE3(turned, np.array([a, 0, 0])).homogeneous
-            product = product @ (along @ across if file_format == "dh" else across @ along)
-        worst = max(worst, np.abs(product - expected).max())
-    assert worst < ROUNDING
-
-
-def robot_value(robot: calib.Robot, name: str) -> float:
-    return float(robot.values[[parameter.name for parameter in robot.parameters].index(name)])
+    assert np.abs(in_file(robot, file_format, out)(q) - flange_poses(robot, q)).max() < ROUNDING
 
 
 @pytest.mark.parametrize("tilt", [0.0, 1e-13, 1e-9, 1e-5, 0.049, 0.051])
@@ -239,13 +211,10 @@ GOOD = "# convention: standard\njoint,type,theta [deg],d [mm],a [mm],alpha [deg]
         ("one,revolute,0,1,2,90,,\n", "", "has a header but no rows"),
     ],
 )
-def test_bad_tables(old: str, new: str, words: str, tmp_path: Path) -> None:
+def test_bad_tables(old: str, new: str, words: str, tmp_path: Path, run_calib) -> None:
     assert old in GOOD
     (tmp_path / "bad.csv").write_text(GOOD.replace(old, new))
-    result = CliRunner().invoke(init_command, ["--dh", str(tmp_path / "bad.csv"), "--out", str(tmp_path / "bad.yaml")])
-    assert result.exit_code == 2
-    assert words in result.output
-    assert result.output.count("\n") == 1
+    assert words in run_calib("init", "--dh", "bad.csv", "--out", "bad.yaml", cwd=tmp_path).refusal()
     assert [path.name for path in tmp_path.iterdir()] == ["bad.csv"]
 
 
@@ -261,30 +230,19 @@ def test_bad_tables(old: str, new: str, words: str, tmp_path: Path) -> None:
         (("--dh", "good.csv", "--target", "hand", "--out", "x.yaml"), "no link 'hand'"),
     ],
 )
-def test_wrong_use(arguments: tuple[str, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("good.csv").write_text(GOOD)
-    Path("taken.urdf").write_text("mine")
-    result = CliRunner().invoke(init_command, arguments)
-    assert result.exit_code == 2
-    assert words in result.output
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["good.csv", "taken.urdf"]
-    assert Path("taken.urdf").read_text() == "mine"
+def test_wrong_use(arguments: tuple[str, ...], words: str, tmp_path: Path, run_calib) -> None:
+    before = {"good.csv": GOOD, "taken.urdf": "mine"}
+    for name, text in before.items():
+        (tmp_path / name).write_text(text)
+    assert words in run_calib("init", *arguments, cwd=tmp_path).refusal()
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
 
 
 def test_joints_of_nearly_parallel_axes_stand_inside_the_robot(tmp_path: Path) -> None:
     """As a controller of Universal Robots has its calibrated table: d of joints 2 to 4 cancel each other."""
     rows = list(UR10)
     rows[1:4] = [(-0.612, 278.3, 1.1e-4, 0.002), (-0.5723, -271.1, -9e-5, -0.001), (0.0, -7.04, HALF, 0.0)]
-    lines = [
-        f"{name},{float(t)!r},{d!r},{a!r},{float(alpha)!r},-3 rad,3 rad"
-        for name, (a, d, alpha, t) in zip("uvwxyz", rows, strict=True)
-    ]
-    table = tmp_path / "ur.csv"
-    table.write_text(
-        "# convention: standard\njoint,theta [rad],d [m],a [m],alpha [rad],lower,upper\n" + "\n".join(lines) + "\n"
-    )
-    robot = robot_of(table, tmp_path / "ur.yaml")
+    robot = robot_of(write_dh_table(tmp_path / "ur.csv", "standard", rows, ""), tmp_path / "ur.yaml")
     assert max(np.linalg.norm(joint.xyz) for joint in robot.urdf.joints) < 2.0
     q = np.random.default_rng(3).uniform(-3, 3, (40, 6))
     expected = np.array([textbook("standard", rows, "", row) for row in q])

@@ -31,6 +31,12 @@ def poses_of(robot, name, count, seed=3):
     return robot.home + rng.uniform(-REACH[name], REACH[name], (count, len(robot.joint_names)))
 
 
+def case(folder, name):
+    """Lengths of a template, its robot, and 30 poses."""
+    robot = robot_of(folder, name)
+    return LENGTHS[name], robot, poses_of(robot, name, 30)
+
+
 def unit(angle):
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
@@ -46,18 +52,14 @@ def meeting(item, radius_one, other, radius_other):
 
 
 def test_four_bar_is_where_two_circles_meet(tmp_path):
-    size = LENGTHS["four_bar"]
-    robot = robot_of(tmp_path, "four_bar")
-    q = poses_of(robot, "four_bar", 30)
+    size, robot, q = case(tmp_path, "four_bar")
     end = size["crank"] * unit(q[:, 0])
     joint = meeting(end, size["coupler"], np.tile([size["ground"], 0.0], (30, 1)), size["rocker"])
     assert np.abs(robot.positions(q)[:, 0, :2] - (end + joint) / 2).max() < TOLERANCE
 
 
 def test_five_bar_is_where_two_circles_meet(tmp_path):
-    size = LENGTHS["five_bar"]
-    robot = robot_of(tmp_path, "five_bar")
-    q = poses_of(robot, "five_bar", 30)
+    size, robot, q = case(tmp_path, "five_bar")
     left, right = (
         np.array([side * size["motor_distance"] / 2, 0]) + size["proximal"] * unit(angle)
         for side, angle in zip((-1, 1), q.T, strict=True)
@@ -67,18 +69,13 @@ def test_five_bar_is_where_two_circles_meet(tmp_path):
 
 def test_3rrr_keeps_its_distal_lengths(tmp_path):
     """Inverse kinematics: each motor's angle from where the platform is, by the cosine rule."""
-    size = LENGTHS["3rrr"]
-    robot = robot_of(tmp_path, "3rrr")
-    q = poses_of(robot, "3rrr", 30)
+    size, robot, q = case(tmp_path, "3rrr")
     pose = robot.forward(q, "platform")
     assert np.ptp(pose[:, 0, 3]) > 0.02
     assert np.ptp(np.arctan2(pose[:, 1, 0], pose[:, 0, 0])) > 0.05
     for k, angle in enumerate(ANGLES):
-        to = (
-            pose[:, :2, :2] @ (size["platform_radius"] * unit(angle))
-            + pose[:, :2, 3]
-            - size["base_radius"] * unit(angle)
-        )
+        to = pose[:, :2, :2] @ (size["platform_radius"] * unit(angle)) + pose[:, :2, 3]
+        to -= size["base_radius"] * unit(angle)
         far = np.linalg.norm(to, axis=1)
         cosine = (size["proximal"] ** 2 + far**2 - size["distal"] ** 2) / (2 * size["proximal"] * far)
         expected = np.arctan2(to[:, 1], to[:, 0]) + np.arccos(cosine)
@@ -87,9 +84,7 @@ def test_3rrr_keeps_its_distal_lengths(tmp_path):
 
 def test_delta_inverse_by_hand(tmp_path):
     """The platform stays level; in the plane of each arm, a x + b z = c decides the motor's angle."""
-    size = LENGTHS["delta"]
-    robot = robot_of(tmp_path, "delta")
-    q = poses_of(robot, "delta", 30)
+    size, robot, q = case(tmp_path, "delta")
     pose = robot.forward(q, "platform")
     assert np.abs(pose[:, :3, :3] - np.eye(3)).max() < TOLERANCE
     for k, angle in enumerate(np.radians([0, 120, 240])):
@@ -101,9 +96,7 @@ def test_delta_inverse_by_hand(tmp_path):
 
 
 def test_stewart_legs_are_as_long_as_their_motors_say(tmp_path):
-    size = LENGTHS["stewart"]
-    robot = robot_of(tmp_path, "stewart")
-    q = poses_of(robot, "stewart", 30)
+    size, robot, q = case(tmp_path, "stewart")
     pose = robot.forward(q, "platform")
     assert np.abs(pose[:, :3, :3] - np.eye(3)).max() > 0.05
     for k in range(6):

@@ -201,8 +201,9 @@ def test_what_a_format_has_no_place_for_is_fitted_as_it_is(tmp_path):
     """A known target on a flange that is off: the best six origins, not those of a robot with the flange moved."""
     from tests.exporting.test_controllers import ur_robot
 
-    nominal = ur_robot(tmp_path, {})
-    true = ur_robot(tmp_path, {"left_tool_mount.x": 3e-3, "left_elbow_joint.x": 2e-3, "left_wrist_2_joint.z": -1e-3})
+    nominal = ur_robot(tmp_path)
+    off = {"left_tool_mount.x": 3e-3, "left_elbow_joint.x": 2e-3, "left_wrist_2_joint.z": -1e-3}
+    true = nominal.with_parameters({name: nominal.parameters[name].nominal_si + value for name, value in off.items()})
     rng = np.random.default_rng(8)
     train, test = (rng.uniform(-2.5, 2.5, (n, 6)) for n in (40, 30))
     points = [true.positions(q) + 1e-5 * rng.standard_normal((len(q), 1, 3)) for q in (train, test)]

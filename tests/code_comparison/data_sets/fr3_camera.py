@@ -14,7 +14,7 @@ def _splits(folder: Path) -> Iterator[Split]:
     table = np.vstack(tables)
     rows = Rows(table[:, 1:8], table[:, 8:11])
     for seed in (0, 1):
-        yield Split("random", f"80 at random, seed {seed}", *drawn(rows, seed, 80, 35))
+        yield Split(f"80 at random, seed {seed}", *drawn(rows, seed, 80, 35))
 
 
 DATA = Arm(
@@ -25,12 +25,8 @@ DATA = Arm(
     licence="MIT",
     columns="train.csv and test.csv: pose, seven joints [rad], x y z [m] and the rotation matrix of the camera's pose",
     folder="fr3_camera_poses",
-    files={
-        "train.csv": "a9a1de482872ed50ce06b29e2960ded095f10423987687a8bf7df844573b9c53",
-        "test.csv": "34ba8c4a8a746d73bc1888836d5858a2d97a179af13466e62713d42a3baf2278",
-        "robot.urdf": "63792d2679f22c4e41cda2c4d9d903644e628970ad0656b9eec8485113941555",
-    },
-    urdf="robot.urdf",
+    files=("train.csv", "test.csv", "robot.urdf"),
+    digest="efe8b4655fe5b8aff518ce0d0cb42149b75335e9c06a3046877ad4259118dd88",
     joints=tuple(f"panda_joint{k}" for k in range(1, 8)),
     base="panda_link0",
     link="panda_link8",

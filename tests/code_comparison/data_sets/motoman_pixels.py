@@ -84,8 +84,8 @@ def _splits(folder: Path) -> Iterator[Split]:
     tracked = [pose for pose, row in poses.items() if row["use"] == "test" and row["x [m]"]]
     places = np.array([[float(poses[pose][f"{axis} [m]"]) for axis in "xyz"] for pose in tracked])
     unseen = Rows(np.array([joints[pose] for pose in tracked]), places)
-    yield Split("owners", "pixels as in the files", Rows(q, np.column_stack([what, u, v])), unseen)
-    yield Split("owners", "pixels turned back by 90 degrees", Rows(q, np.column_stack([what, v, 5999 - u])), unseen)
+    yield Split("pixels as in the files", Rows(q, np.column_stack([what, u, v])), unseen)
+    yield Split("pixels turned back by 90 degrees", Rows(q, np.column_stack([what, v, 5999 - u])), unseen)
 
 
 DATA = Watched(
@@ -98,14 +98,8 @@ DATA = Watched(
     columns="camera/poses.csv: pose, joints [rad], x y z [m] by the tracker, use; pixels.csv: pose, camera, marker, u v"
     " [px]; markers.csv: marker, x y z [m]; cameras.csv: camera, fx fy cx cy [px], k1 k2 p1 p2 k3",
     folder="motoman_right",
-    files={
-        "camera/cameras.csv": "13e3a478aa3efb24156451e32b09418a61a07afee0cbcd48b720a77552152080",
-        "camera/markers.csv": "58a0a3797aabb90d811961e6368856416fa93114243929a9a1d730bbab7dc57d",
-        "camera/pixels.csv": "b369d5674e88496ef942aba2bc33296caf0db6c81e58b9a4b92002d1295f17c6",
-        "camera/poses.csv": "cee732b7ff67ea550dc83975eabd7643730832074b3cd1312d15a5f1a08a762a",
-        "robot.urdf": motoman_right.DATA.files["robot.urdf"],
-    },
-    urdf="robot.urdf",
+    files=("camera/cameras.csv", "camera/markers.csv", "camera/pixels.csv", "camera/poses.csv", "robot.urdf"),
+    digest="fb5879d9967245bf6798a3bc7ece23f1e585451a74911f348d90f5e1395c9f5c",
     joints=motoman_right.JOINTS,
     base="l0",
     link="flange",

@@ -14,13 +14,13 @@ JOINTS = ("E", "S", "L", "U", "R", "B", "T")
 def _splits(folder: Path) -> Iterator[Split]:
     tables = [np.loadtxt(folder / name, delimiter=",", skiprows=1) for name in ("train.csv", "test.csv")]
     train, test = (Rows(table[:, 3:], table[:, :3]) for table in tables)
-    yield Split("owners", "the owners' file for testing unseen", train, test)
+    yield Split("the owners' file for testing unseen", train, test)
     rows = Rows(np.vstack([train.q, test.q]), np.vstack([train.read, test.read]))
-    yield Split("random", "half at random", *drawn(rows, 0, 106, 106))
+    yield Split("half at random", *drawn(rows, 0, 106, 106))
     half = len(train) // 2
-    yield Split("stretches", "second half of a file unseen", train[np.arange(half)], train[np.arange(half, len(train))])
+    yield Split("second half of a file unseen", train[np.arange(half)], train[np.arange(half, len(train))])
     low = rows.q[:, 3] < np.median(rows.q[:, 3])
-    yield Split("places", "low half of joint U fitted", rows[low], rows[~low])
+    yield Split("low half of joint U fitted", rows[low], rows[~low])
 
 
 DATA = Arm(
@@ -32,12 +32,8 @@ DATA = Arm(
     columns="train.csv and test.csv: x1 y1 z1 [m], joints E S L U R B T [rad]; the owners' Denavit-Hartenberg table as"
     " robot.urdf",
     folder="motoman_right",
-    files={
-        "train.csv": "f1fbe66f7ec39cc966b9de431797cbeff7cda1c4276ea666ee4ea86db40291dc",
-        "test.csv": "dfb15d84782c4c8cf7e526fa867f1a33b4cf92687dd0cecdb92c37a491305bf7",
-        "robot.urdf": "385470d08c1ee9e690c6bc09904443bf46da12370784b7a9499ec792aab17969",
-    },
-    urdf="robot.urdf",
+    files=("train.csv", "test.csv", "robot.urdf"),
+    digest="fe91ad47a7c6193d73da5f9f6581314910253e330ba9e14f2d92e72e55fc3ae4",
     joints=JOINTS,
     base="l0",
     link="flange",

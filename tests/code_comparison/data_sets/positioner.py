@@ -12,10 +12,10 @@ from ..data_set import Rows, Split, drawn
 def _splits(folder: Path) -> Iterator[Split]:
     table = np.loadtxt(folder / "positions.csv", delimiter=",", skiprows=1)
     rows, half = Rows(table[:, 1:3], table[:, 3:6]), len(table) // 2
-    yield Split("random", "half at random", *drawn(rows, 0, 100, 105))
+    yield Split("half at random", *drawn(rows, 0, 100, 105))
     first, second = rows[np.arange(half)], rows[np.arange(half, len(table))]
-    yield Split("stretches", "second half unseen", first, second)
-    yield Split("stretches", "first half unseen", second, first)
+    yield Split("second half unseen", first, second)
+    yield Split("first half unseen", second, first)
 
 
 DATA = Arm(
@@ -26,11 +26,8 @@ DATA = Arm(
     licence="Apache-2.0",
     columns="positions.csv: pose, two joints [rad], x y z [m] of the table; the geometry of the example as robot.urdf",
     folder="positioner",
-    files={
-        "positions.csv": "b71cb7fe06414bae6abf6cf1a60efae24de9f5b3ddaa0f440240b7e7d4bd18b2",
-        "robot.urdf": "0d9d35832b9dee28197c77486daece73a5d477d36aedeba3dfb63ca5ead67ebd",
-    },
-    urdf="robot.urdf",
+    files=("positions.csv", "robot.urdf"),
+    digest="84a930d3c21ba67ff6e25ddcbfde5a7823fa77710c26e99bc86f315f74a6950f",
     joints=("j1", "j2"),
     base="world",
     link="table",

@@ -15,7 +15,7 @@ def _splits(folder: Path) -> Iterator[Split]:
     table = np.loadtxt(folder / "calibration.csv", delimiter=",", skiprows=1)
     rows, at = Rows(table[:, 6:12], table[:, :3]), np.arange(len(table)) % 4
     for k, words in ((0, "first"), (2, "third")):
-        yield Split("stretches", f"the {words} of every four unseen", rows[at != k], rows[at == k])
+        yield Split(f"the {words} of every four unseen", rows[at != k], rows[at == k])
 
 
 DATA = Arm(
@@ -26,11 +26,8 @@ DATA = Arm(
     licence="Apache-2.0",
     columns="calibration.csv: x1 y1 z1 [m], phix1 phiy1 phiz1 [rad], the six joints [rad]; and their robot.urdf",
     folder="ur10",
-    files={
-        "calibration.csv": "31d5a3d56cbb5ea3f69775a3f2620bbe31cb750e68c6a2258ed585c3f01cdfd6",
-        "robot.urdf": "1da0c0de1909bbf6bb5ea9449ee07ccf88e0b3456edca2955e23cc4770027ecd",
-    },
-    urdf="robot.urdf",
+    files=("calibration.csv", "robot.urdf"),
+    digest="3d125e0267ebe29700074ac05c5d0cdbcf3ecac1900852287087233053cf2fff",
     joints=tuple(f"{joint}_joint" for joint in JOINTS),
     base="base_link",
     link="wrist_3_link",

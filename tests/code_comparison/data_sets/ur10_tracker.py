@@ -14,12 +14,12 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist
 def _splits(folder: Path) -> Iterator[Split]:
     table = np.genfromtxt(folder / "grid.csv", delimiter=",", skip_header=1, dtype=str)
     rows = Rows(table[:, 1:7].astype(float), table[:, 7:10].astype(float) / 1e3)
-    yield Split("random", "200 at random", *drawn(rows, 0, 200, 600))
+    yield Split("200 at random", *drawn(rows, 0, 200, 600))
     stretch = np.arange(len(rows)) * 40 // len(rows) % 4
     train, unseen = some(rows[stretch != 0], 0, 200), some(rows[stretch == 0], 0, 600)
-    yield Split("stretches", "every fourth of 40 stretches unseen", train, unseen)
+    yield Split("every fourth of 40 stretches unseen", train, unseen)
     low = rows.q[:, 1] < np.median(rows.q[:, 1])
-    yield Split("places", "low half of the shoulder's lift fitted", some(rows[low], 0, 200), some(rows[~low], 0, 600))
+    yield Split("low half of the shoulder's lift fitted", some(rows[low], 0, 200), some(rows[~low], 0, 600))
 
 
 DATA = Arm(
@@ -31,11 +31,8 @@ DATA = Arm(
     columns="grid.csv: time [s], the six joints [rad], x y z [mm], rx ry rz [deg], temperature [degC], use; and the"
     " maker's lengths as robot.urdf",
     folder="ur10_tracker",
-    files={
-        "grid.csv": "9cb590196295db8a3e2fee9f33fa5b9c818adcf0a521f78a216fe474efe79f1e",
-        "robot.urdf": "eb2f7d99d12fe778c56e0d9fdeeac326a5a26005c4c5a87360352c7a412f7faf",
-    },
-    urdf="robot.urdf",
+    files=("grid.csv", "robot.urdf"),
+    digest="4f3600eb96bf6e245bc26e63f1e04d77805ef5330fd475f7d047e4003c4bde72",
     joints=tuple(f"{joint}_joint" for joint in JOINTS),
     base="base_link",
     link="flange",

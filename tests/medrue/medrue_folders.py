@@ -1,10 +1,12 @@
 """What the folders hold that programs of `medrue` write."""
 
 import json
+from collections.abc import Iterable
 from html.parser import HTMLParser
 from pathlib import Path
 
 from calib.core.base.own_files import MANIFEST
+from medrue.result_tables import ResultTable
 
 
 class Checker(HTMLParser):
@@ -18,6 +20,14 @@ class Checker(HTMLParser):
     def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
         self.counts[tag] = self.counts.get(tag, 0) + 1
         self.links += [value for name, value in attributes if name == "href" and value]
+
+
+def check_tables(tables: Iterable[ResultTable]) -> None:
+    for table in tables:
+        assert "nan" not in table.csv()
+        assert "simulated" in table.csv()
+        assert len(set(table.columns[0].values)) == len(table.columns[0].values)  # rows are selected by name
+        json.dumps(table.to_dict(), allow_nan=False)
 
 
 def check_folder(folder: Path, tables: set[str], figures: set[str], data: tuple[str, ...] = ()) -> None:

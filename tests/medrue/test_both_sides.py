@@ -4,7 +4,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib import load
 from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
@@ -28,16 +27,6 @@ from medrue.workspace import target_workspace
 pytestmark = pytest.mark.quick(0)
 
 EITHER, ONE = WAYS[2:]
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load(robot_file())
-
-
-@pytest.fixture(scope="module")
-def extended() -> Robot:
-    return load(robot_file("medrue_extended"))
 
 
 @pytest.fixture(scope="module")

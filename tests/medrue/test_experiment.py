@@ -1,6 +1,5 @@
 """The simulated experiment: a truth that the paper's model cannot describe, a tracker, and what calibration leaves."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,10 +8,9 @@ import pinocchio as pin
 import pytest
 from click.testing import CliRunner
 
-from calib import load, read_measurements
+from calib import read_measurements
 from calib.core.robots.robot import Robot
 from calib.planning.selection import select
-from medrue import robot_file
 from medrue.both_sides import QUICK_COUNTS, run_both_sides
 from medrue.cli import group
 from medrue.closed_form import forward
@@ -24,21 +22,11 @@ from medrue.paper_tables import error_table, table3
 from medrue.progress import SilentProgress
 from medrue.tracker import NESTS, PLACE, measure
 from medrue.workspace import target_workspace
-from tests.medrue.medrue_folders import check_folder
+from tests.medrue.medrue_folders import check_folder, check_tables
 
 pytestmark = pytest.mark.quick(0)
 
 NONE = Imperfections(0.0, 0.0, 0.0)
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load(robot_file())
-
-
-@pytest.fixture(scope="module")
-def extended() -> Robot:
-    return load(robot_file("medrue_extended"))
 
 
 @pytest.fixture(scope="module")
@@ -176,11 +164,7 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(experiment: Exp
     assert fifth["after x"][fifth["error [mm]"].index("mean, paper")] == 0.340
     third = {column.header: column.values for column in tables["table3"].columns}
     assert third["actual (paper: identified)"][0] == pytest.approx(-224.895)
-    for table in tables.values():
-        assert "simulated" in table.csv()
-        assert "nan" not in table.csv()
-        assert len(set(table.columns[0].values)) == len(table.columns[0].values)  # rows are selected by name
-        json.dumps(table.to_dict(), allow_nan=False)
+    check_tables(tables.values())
     assert "chosen so that the error that remains" in tables["causes"].csv()
     text = " ".join(experiment_findings(experiment))
     assert "mostly along x" in text
@@ -206,27 +190,16 @@ def test_sentences_follow_the_numbers(experiment: Experiment) -> None:
 
 
 def test_the_same_seed_gives_the_same_experiment(experiment: Experiment) -> None:
-    seed = np.random.SeedSequence(3).spawn(2)[0]
-    again = experiment_draw(
-        ExperimentTask(
-            experiment.robot,
-            experiment.both_sides.extended,
-            experiment.joints,
-            experiment.sets,
-            experiment.imperfections,
-            seed,
-        )
-    )
+    seed, usual = np.random.SeedSequence(3).spawn(2)[0], experiment.imperfections
+    given = experiment.robot, experiment.both_sides.extended, experiment.joints
+    again = experiment_draw(ExperimentTask(*given, experiment.sets, usual, seed))
     assert np.array_equal(again.after, experiment.draws[0].after)
-    other = replace(experiment.imperfections, backlash=0.0)
-    task = ExperimentTask(
-        experiment.robot, experiment.both_sides.extended, experiment.joints, experiment.sets[:1], other, seed
-    )
-    assert not np.array_equal(experiment_draw(task).after[0], again.after[0])
+    other = ExperimentTask(*given, experiment.sets[:1], replace(usual, backlash=0.0), seed)
+    assert not np.array_equal(experiment_draw(other).after[0], again.after[0])
 
 
 def test_the_command_writes_every_table_and_figure_and_one_page(
-    experiment: Experiment, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    experiment: Experiment, extended: Robot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     requests = []
 
@@ -247,7 +220,6 @@ def test_the_command_writes_every_table_and_figure_and_one_page(
     page = (out / "index.html").read_text()
     assert "backlash of the rail of 0.8 mm" in page
     assert "@media print" in page
-    extended = load(robot_file("medrue_extended"))
     data = read_measurements(out / "both_sides.csv", extended)
     assert len(data) == len(set(data.names)) == 840
     assert np.abs(data.approach_directions.sum(axis=0)).tolist() == [0.0] * 6  # each pose from both sides

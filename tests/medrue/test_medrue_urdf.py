@@ -114,17 +114,10 @@ def test_tree_matches_the_paper_with_nominal_values() -> None:
     assert by_name == expected_tree(table1().nominal)  # exactly: the file holds 17 digits where they are needed
 
 
-def test_closed_form_equals_the_urdf_at_nominal_parameters() -> None:
-    assert_closed_form_agrees(table1().nominal, target_workspace().q[::7])
-
-
-def test_closed_form_equals_the_urdf_at_actual_parameters() -> None:
-    assert_closed_form_agrees(table1().actual, target_workspace().q[::7])
-
-
-def test_closed_form_equals_the_urdf_at_perturbed_parameters() -> None:
-    generator = np.random.default_rng(20150107)
-    table = table1()
+def test_closed_form_equals_the_urdf_at_nominal_actual_and_perturbed_parameters() -> None:
+    generator, table = np.random.default_rng(20150107), table1()
+    for values in (table.nominal, table.actual):
+        assert_closed_form_agrees(values, target_workspace().q[::7])
     reach = np.where(np.array(table.units) == "m", 0.002, np.radians(1.5))
     for _ in range(25):
         rows = generator.integers(len(target_workspace().q), size=8)

@@ -60,14 +60,11 @@ def test_impossible_sigma_is_an_error(sigma: float) -> None:
         measurement_file(seed=1, sigma=sigma)
 
 
-def test_command_refuses_a_place_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(tmp_path / "missing" / "out.csv")])
-    assert stopped.value.code == 2
-    assert "cannot be written" in capsys.readouterr().err
-
-
-def test_command_refuses_a_negative_sigma(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(tmp_path / "out.csv"), "--sigma-mm", "-1"])
-    assert stopped.value.code == 2
+def test_command_refuses_places_that_cannot_be_written_and_a_negative_sigma(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for arguments, message in ((["missing/out.csv"], "cannot be written"), (["out.csv", "--sigma-mm", "-1"], "sigma")):
+        with pytest.raises(SystemExit) as stopped:
+            main([str(tmp_path / arguments[0]), *arguments[1:]])
+        assert stopped.value.code == 2
+        assert message in capsys.readouterr().err

@@ -3,17 +3,16 @@
 import pytest
 
 from calib import load
-from calib.core.robots.robot import Robot
 from medrue import robot_file
 
 
 @pytest.fixture(scope="session")
-def robot(medrue: Robot) -> Robot:
+def robot(medrue):
     """With the paper's 36 parameters."""
     return medrue
 
 
 @pytest.fixture(scope="session")
-def extended() -> Robot:
+def extended():
     """With all of its geometry, and the errors of its rail."""
     return load(robot_file("medrue_extended"))

@@ -1,28 +1,25 @@
 """What the folders hold that programs of `medrue` write."""
 
 import json
-from collections.abc import Iterable
 from html.parser import HTMLParser
-from pathlib import Path
 
 from calib.core.base.own_files import MANIFEST
-from medrue.result_tables import ResultTable
 
 
 class Checker(HTMLParser):
     """Counts tables and images, and remembers links."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.counts: dict[str, int] = {}
         self.links: list[str] = []
 
-    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attributes):
         self.counts[tag] = self.counts.get(tag, 0) + 1
         self.links += [value for name, value in attributes if name == "href" and value]
 
 
-def check_tables(tables: Iterable[ResultTable]) -> None:
+def check_tables(tables):
     for table in tables:
         assert "nan" not in table.csv()
         assert "simulated" in table.csv()
@@ -30,7 +27,7 @@ def check_tables(tables: Iterable[ResultTable]) -> None:
         json.dumps(table.to_dict(), allow_nan=False)
 
 
-def check_folder(folder: Path, tables: set[str], figures: set[str], data: tuple[str, ...] = ()) -> None:
+def check_folder(folder, tables, figures, data=()):
     expected = {f"{name}.{kind}" for name in tables for kind in ("csv", "json")}
     expected |= {f"{name}.{kind}" for name in figures for kind in ("png", "svg")} | {"index.html", *data}
     assert {path.name for path in folder.iterdir()} - {MANIFEST} == expected

@@ -267,7 +267,6 @@ def test_a_robot_made_in_python_is_saved_and_loads_the_same(robot, tmp_path):
         (lambda robot: calib.sample(robot, 5, seed=-1), "seed -1"),
         (lambda robot: calib.sample(robot, 5, within={"joint_1": (1, 0)}), "is not a range"),
         (lambda robot: calib.sample(robot, 5, within={"joint_1": 1}), "joint_1"),
-        (lambda robot: robot.sample(10**12), "sampling 1000000000000 poses needs about"),
         (lambda robot: calib.sample(robot, 10**11), "sampling 100000000000 poses needs about"),
         (
             lambda robot: calib.fit(robot.fix([p.name for p in robot.parameters]), READ),

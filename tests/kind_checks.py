@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import binom
 
 from calib.core.instruments.position import Position
 from calib.core.robots.jacobian import linearise
@@ -110,12 +109,6 @@ def coverage(n, true, fitted):
         missed = fit.robot.values[fit.unknowns.index[chosen]] - [true[fit.free_names[k]] for k in chosen]
         hits.append(np.abs(missed) <= fit.statistics.half_width[chosen])
     return np.mean(hits, axis=0)
-
-
-def assert_covered(covered, n):
-    """Each is what chance makes of 95 %, of n fits, and so is their mean."""
-    assert np.all(n * covered >= binom.ppf(1e-4 / len(covered), n, 0.95))
-    assert 0.9 < np.mean(covered) < 0.99
 
 
 def positions_by_joint(robot, q):

@@ -15,6 +15,16 @@ def same(item, other):
 
 
 RUN = {
+    # numpy and pandas: rows, masks, length, tables
+    "mask of poses": lambda t: len(t.candidates[np.arange(40) < 5]) == 5,
+    "row after row": lambda t: [cell.names[0] for cell in t.data] == list(t.data.names),
+    "columns of data": lambda t: np.allclose(
+        t.data.to_dict(t.robot)["reflector_x [mm]"], 1e3 * t.data.readings["reflector"].values[:, 0]
+    ),
+    "columns of poses": lambda t: (
+        list(t.candidates.to_dict(t.robot)) == ["pose"] + [f"joint_{k} [deg]" for k in range(1, 7)]
+    ),
+    "html of data": lambda t: "<table>" in t.data._repr_html_(),
     # data as paths, data frames, dictionaries of columns
     "fit(robot, path)": lambda t: same(calib.fit(t.robot, READ), calib.fit(t.robot, t.data)),
     "fit(path, path)": lambda t: calib.fit(ARM, READ, validation=READ).validation.data.n_poses == 80,
@@ -127,16 +137,6 @@ RUN = {
     "forward of a list": lambda t: t.robot.forward([0.0] * 6, "flange").shape == (4, 4),
     "in robot.parameters": lambda t: "joint_3.z" in t.robot.parameters and "joint_9.z" not in t.robot.parameters,
     "if fit": lambda t: all((t.fit, t.robot, t.data)),
-    # numpy and pandas: rows, masks, length, tables
-    "mask of poses": lambda t: len(t.candidates[np.arange(40) < 5]) == 5,
-    "row after row": lambda t: [cell.names[0] for cell in t.data] == list(t.data.names),
-    "columns of data": lambda t: np.allclose(
-        t.data.to_dict(t.robot)["reflector_x [mm]"], 1e3 * t.data.readings["reflector"].values[:, 0]
-    ),
-    "columns of poses": lambda t: (
-        list(t.candidates.to_dict(t.robot)) == ["pose"] + [f"joint_{k} [deg]" for k in range(1, 7)]
-    ),
-    "html of data": lambda t: "<table>" in t.data._repr_html_(),
     # scikit-learn: split, fit, predict, seed
     "the same seed": lambda t: (
         t.data.split(validation=0.25, seed=1)[0].names == t.data.split(validation=0.25, seed=1)[0].names
@@ -189,7 +189,7 @@ def progress_of(call):
     return told
 
 
-@pytest.mark.quick(12)
+@pytest.mark.quick(9)
 @pytest.mark.parametrize("guess", RUN)
 def test_a_guess_runs(t, guess):
     if "plot" in guess:

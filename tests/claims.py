@@ -10,7 +10,6 @@ is judged with the second. --page writes the table into docs/verdict.md.
 
 from __future__ import annotations
 
-import argparse
 import re
 import textwrap
 from collections.abc import Iterator
@@ -19,7 +18,6 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-import yaml
 
 import calib
 from calib.core.base.errors import CalibrationError
@@ -27,10 +25,10 @@ from calib.core.base.words import count_noun
 from calib.core.data.measurements import Measurements
 from calib.core.judging.claim import claim_of, is_elsewhere, unlike_measured
 from tests.project import EXAMPLES
-from tests.public_data import PLACES, described, motoman, mukca, ur10_tracker
+from tests.public_data import PLACES, described, motoman, mukca, of_folder, ur10_tracker, written
+from tests.six_axis_arm import FREE
 
 PAGE = EXAMPLES.parent / "verdict.md"
-_PLACE = re.compile(r"(<!-- begin real robots -->\n).*?(<!-- end real robots -->)", re.DOTALL)
 POINTS = ("cam", "cx", "cy", "cz")
 
 
@@ -123,18 +121,8 @@ def _sockets(folder: Path, arm: str, places: object) -> Iterator[Split]:
 def positioner(folder: Path) -> tuple[calib.Robot, Measurements]:
     """Return a table with two axes, and what a camera system measured of it."""
     where = folder / "positioner"
-    text = yaml.safe_dump(
-        {
-            "urdf": "robot.urdf",
-            "name_mot": ["j1", "j2"],
-            "base": {"frame": "world", "pose": "unknown"},
-            "targets": {"target": {"frame": "table", "position": "unknown"}},
-            "parametrisation": [
-                {"origin": "all", "components": ["x", "y", "z"], "sigma": "2 mm"},
-                {"origin": "all", "components": ["rx", "ry", "rz"], "sigma": "5 mrad"},
-            ],
-        }
-    )
+    text = "urdf: robot.urdf\nname_mot: [j1, j2]\nbase: {frame: world, pose: unknown}\n"
+    text += f"targets: {{target: {{frame: table, position: unknown}}}}\nparametrisation:\n{FREE}"
     robot = described(where / "robot.urdf", text)
     return robot, calib.read_measurements(where / "positions.csv", robot)
 
@@ -152,25 +140,12 @@ def _positioner(folder: Path) -> Iterator[Split]:
 
 def fr3(folder: Path, points: int) -> tuple[calib.Robot, Measurements]:
     """Return a Franka FR3 read by a camera: full poses, or so many points of each pose."""
-    where, link = folder / "fr3_camera_poses", "panda_link8"
-    known = {"frame": link, "position": "unknown"}
-    targets = {name: dict(known) for name in POINTS[: max(points, 1)]}
-    if points == 0:
-        targets["cam"]["orientation"] = "unknown"
-    text = yaml.safe_dump(
-        {
-            "urdf": "robot.urdf",
-            "name_mot": [f"panda_joint{k}" for k in range(1, 8)],
-            "base": {"frame": "panda_link0", "pose": "unknown"},
-            "targets": targets,
-            "parametrisation": [
-                {"origin": "all", "components": ["x", "y", "z"], "sigma": "2 mm"},
-                {"origin": "all", "components": ["rx", "ry", "rz"], "sigma": "5 mrad"},
-            ],
-        }
-        | ({"instruments": {"cam": {"kind": "pose", "rotation": "matrix"}}} if points == 0 else {})
-    )
-    robot = described(where / "robot.urdf", text)
+    where, joints = folder / "fr3_camera_poses", ", ".join(f"panda_joint{k}" for k in range(1, 8))
+    text = f"urdf: robot.urdf\nname_mot: [{joints}]\nbase: {{frame: panda_link0, pose: unknown}}\ntargets:\n"
+    place = f"{{frame: panda_link8, position: unknown{'' if points else ', orientation: unknown'}}}"
+    text += "".join(f"  {name}: {place}\n" for name in POINTS[: max(points, 1)])
+    text += "" if points else "instruments: {cam: {kind: pose, rotation: matrix}}\n"
+    robot = described(where / "robot.urdf", f"{text}parametrisation:\n{FREE}")
     return robot, calib.read_measurements(where / ("train.csv" if points == 0 else "four_points_train.csv"), robot)
 
 
@@ -210,11 +185,8 @@ def _within(ratios: np.ndarray) -> str:
 
 def main() -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("folder", metavar="FOLDER", type=Path)
+    parser = of_folder(__doc__, PAGE)
     parser.add_argument("--terms", default=None)
-    parser.add_argument("--only", default="", metavar="WORDS", help="splits whose names contain them")
-    parser.add_argument("--page", action="store_true", help="write the table into docs/verdict.md")
     options = parser.parse_args()
     lines: list[str] = []
     right, n_splits, ratios, there, alike = [0, 0], [0, 0], [], [], []
@@ -255,9 +227,7 @@ def main() -> None:
     print(words)
     if options.page:
         cells = [[cell.strip() for cell in line.strip("| ").split("|")] for line in lines]
-        text = "\n".join([table_of_sorts(cells), "", *textwrap.wrap(words, 120)])
-        page = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(_PLACE.sub(lambda match: f"{match[1]}{text}\n{match[2]}", page), encoding="utf-8")
+        written(PAGE, "real robots", "\n".join([table_of_sorts(cells), "", *textwrap.wrap(words, 120)]))
 
 
 if __name__ == "__main__":

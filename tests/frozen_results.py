@@ -78,23 +78,12 @@ KINDS = {
 """Instruments, and what is unknown of base and target, by kind of measurement."""
 
 
-class Answers:
-    """Runs commands in a folder, and keeps what they answer."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def run(self, *words: str) -> None:
-        """Run a command; exit codes 0 and 3 are answers."""
-        done = subprocess.run(
-            [sys.executable, "-m", "calib", *words, "--quiet"], cwd=self.folder, capture_output=True, text=True
-        )
-        if done.returncode not in (0, 3):
-            raise SystemExit(f"calib {' '.join(words)}: exit {done.returncode}\n{done.stdout}{done.stderr}")
-
-    def fit(self, robot: str, data: str, out: str, *words: str) -> None:
-        """Fit, without pages."""
-        self.run("fit", robot, data, "--out", out, "--no-pages", *words)
+def run(words: str, folder: Path) -> None:
+    """Run a command in a folder; exit codes 0 and 3 are answers."""
+    command = [sys.executable, "-m", "calib", *words.split(), "--quiet"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    if done.returncode not in (0, 3):
+        raise SystemExit(f"calib {words}: exit {done.returncode}\n{done.stdout}{done.stderr}")
 
 
 def write_answers(folder: Path) -> None:
@@ -104,42 +93,29 @@ def write_answers(folder: Path) -> None:
         shutil.copy(path, folder)
     (folder / "six").mkdir()
     (folder / "six" / "arm.urdf").write_text(URDF)
-    ask = Answers(folder)
-    ask.fit("medrue.yaml", "medrue_simulated.csv", "medrue", "--validate", "0.8")
-    for name in ("arm", "five_bar", "stewart", "delta", "3rrr", "four_bar"):
-        ask.fit(f"{name}.yaml", f"{name}_simulated.csv", name, "--validate", "0.8")
-    ask.fit("arm.yaml", "arm_simulated.csv", "arm_auto", "--terms", "auto", "--validate", "0.8")
-    ask.fit("arm.yaml", "arm_simulated.csv", "arm_huber", "--loss", "huber", "--folds", "4")
+    for name in ("medrue", "arm", "five_bar", "stewart", "delta", "3rrr", "four_bar"):
+        run(f"fit {name}.yaml {name}_simulated.csv --out {name} --no-pages --validate 0.8", folder)
+    run("fit arm.yaml arm_simulated.csv --out arm_auto --no-pages --terms auto --validate 0.8", folder)
+    run("fit arm.yaml arm_simulated.csv --out arm_huber --no-pages --loss huber --folds 4", folder)
     for kind, (instrument, base, target) in KINDS.items():
         text = ARM.replace("INSTRUMENT", instrument).replace("BASE", base).replace("TARGET", target)
         robot, data = f"six/{kind}.yaml", f"six/{kind}.csv"
         (folder / robot).write_text(text)
-        ask.run("sample", robot, "--count", "60", "--seed", "1", "--out", f"six/{kind}_poses.csv")
+        run(f"sample {robot} --count 60 --seed 1 --out six/{kind}_poses.csv", folder)
         write_truth(folder / robot, folder / "six" / "truth.csv")
-        ask.run(
-            *("simulate", robot, f"six/{kind}_poses.csv", "--seed", "2", "--out", data),
-            *("--parameters", "six/truth.csv"),
-        )
-        ask.fit(robot, data, f"kind_{kind}")
-        ask.run("check", robot, data, "--json", f"kind_{kind}_check.json")
-    ask.run("check", "medrue.yaml", "medrue_simulated.csv", "--json", "medrue_check.json")
-    ask.run("sample", "arm.yaml", "--count", "200", "--seed", "3", "--out", "candidates.csv")
-    for index in ("o1", "task"):
-        ask.run(
-            "select", "arm.yaml", "candidates.csv", "--count", "15", "--index", index, "--out", f"select_{index}.csv"
-        )
-    ask.run(
-        "compensate",
-        "arm",
-        "candidates.csv",
-        "--out",
-        "compensated.csv",
-        "--json",
-        "compensated.json",
-        "--skip-unreachable",
-    )
-    ask.run("predict", "arm", "candidates.csv", "--out", "predicted.csv")
-    ask.run("verify", "arm", "arm_simulated.csv", "--json", "verified.json")
+        run(f"simulate {robot} six/{kind}_poses.csv --seed 2 --out {data} --parameters six/truth.csv", folder)
+        run(f"fit {robot} {data} --out kind_{kind} --no-pages", folder)
+        run(f"check {robot} {data} --json kind_{kind}_check.json", folder)
+    for words in (
+        "check medrue.yaml medrue_simulated.csv --json medrue_check.json",
+        "sample arm.yaml --count 200 --seed 3 --out candidates.csv",
+        "select arm.yaml candidates.csv --count 15 --index o1 --out select_o1.csv",
+        "select arm.yaml candidates.csv --count 15 --index task --out select_task.csv",
+        "compensate arm candidates.csv --out compensated.csv --json compensated.json --skip-unreachable",
+        "predict arm candidates.csv --out predicted.csv",
+        "verify arm arm_simulated.csv --json verified.json",
+    ):
+        run(words, folder)
 
 
 def write_truth(robot: Path, path: Path) -> None:
@@ -176,21 +152,15 @@ def _content(path: Path) -> Any:
 
 def _differ(before: Any, after: Any, where: str) -> list[str]:
     if isinstance(before, dict) and isinstance(after, dict):
-        said = [
-            f"{where}.{key}: only in one of both" for key in before.keys() ^ after.keys() if not PASSING.search(key)
-        ]
-        return said + [
-            line
-            for key in before.keys() & after.keys()
-            if not PASSING.search(key)
-            for line in _differ(before[key], after[key], f"{where}.{key}")
-        ]
+        keys = [key for key in before.keys() | after.keys() if not PASSING.search(key)]
+        both = {key: f"{where}.{key}" for key in keys if key in before and key in after}
+        said = [f"{where}.{key}: only in one of both" for key in keys if key not in both]
+        return said + [line for key, there in both.items() for line in _differ(before[key], after[key], there)]
     if isinstance(before, list) and isinstance(after, list):
         if len(before) != len(after):
             return [f"{where}: {len(before)} entries, now {len(after)}"]
-        return [
-            line for k, (a, b) in enumerate(zip(before, after, strict=True)) for line in _differ(a, b, f"{where}[{k}]")
-        ]
+        pairs = enumerate(zip(before, after, strict=True))
+        return [line for k, pair in pairs for line in _differ(*pair, f"{where}[{k}]")]
     if before == after:
         return []
     a, b = _number(before), _number(after)

@@ -9,8 +9,6 @@ error of the joints that differs from pose to pose. --page writes the table into
 
 from __future__ import annotations
 
-import argparse
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,10 +21,9 @@ from calib.core.data.pose_groups import boxes
 from calib.core.fitting.regions import BLOCKS
 from tests.claims import positioner
 from tests.project import EXAMPLES
-from tests.public_data import PLACES, motoman, mukca, ur10_tracker
+from tests.public_data import PLACES, markdown, motoman, mukca, of_folder, ur10_tracker, written
 
 PAGE = EXAMPLES.parent / "uncertainty.md"
-_PLACE = re.compile(r"(<!-- begin halves -->\n).*?(<!-- end halves -->)", re.DOTALL)
 WAYS = {"at random": None, "by boxes of joint space": None, "at random, terms chosen": "auto"}
 """How a set is cut, and which joint terms the fits have."""
 _QUICK = 5  # times as many pairs of halves where no terms are chosen
@@ -89,16 +86,10 @@ def apart(robot: calib.Robot, data: Measurements, how: str, rng: np.random.Gener
 
 def main() -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("folder", metavar="FOLDER", type=Path)
+    parser = of_folder(__doc__, PAGE)
     parser.add_argument("--draws", type=int, default=5, help="pairs of halves; five times as many without terms")
-    parser.add_argument("--only", default="", metavar="WORDS", help="rows that contain them")
-    parser.add_argument("--page", action="store_true", help="write the table into docs/uncertainty.md")
     options = parser.parse_args()
-    lines = [
-        "| robot | halves | pairs | apart [mm] | apart / by noise | apart / as claimed |",
-        "|---|---|---:|---:|---:|---:|",
-    ]
+    rows = []
     for name, robot, data in sets(options.folder):
         for how in WAYS:
             if options.only not in f"{name} {how}":
@@ -106,13 +97,11 @@ def main() -> None:
             n_draws = options.draws * (1 if WAYS[how] else _QUICK)
             draws = [apart(robot, data, how, np.random.default_rng(k)) for k in range(n_draws)]
             seen, noise, claimed = 1e3 * np.sqrt(np.mean(draws, axis=0))
-            ratios = f"{seen / noise:.2f} | {seen / claimed:.2f}"
-            lines.append(f"| {name} | {how} | {n_draws} | {seen:.3f} | {ratios} |")
-            print(lines[-1], flush=True)
+            rows.append([f"{name}, {how}", n_draws, f"{seen:.3f}", f"{seen / noise:.2f}", f"{seen / claimed:.2f}"])
+            print(*rows[-1], sep=" | ", flush=True)
     if options.page:
-        table = "\n".join(lines)
-        text = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{table}\n{place[2]}", text), encoding="utf-8")
+        head = ["robot, halves", "pairs", "apart [mm]", "apart / by noise", "apart / as claimed"]
+        written(PAGE, "halves", markdown(head, rows))
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ AVX2 = ("X86_V3", "AVX2", "FMA3")
 FOLDERS_LEFT_OUT = {"browser", "code_comparison", "docs", "interop", "viz"}
 NOT_NUMERICAL = (
     *("bad_input", "bad_kinds", "common_options", "description", "files"),
-    *("function_gradients", "init_command", "many_calibrations", "next_steps", "other_words", "own_files"),
+    *("function_gradients", "guesses", "init_command", "many_calibrations", "next_steps", "other_words", "own_files"),
     *("foreign_files", "gcode_firmwares", "program_reading", "programs_run", "tolerance"),
     *("parameter_files", "plain_text", "remembered", "rosbag", "searched_input", "sharing", "tables", "urdf_text"),
     *("wheel", "workers"),

@@ -180,17 +180,23 @@ def mukca_joints(folder, arm, place):
     return [np.loadtxt(folder / arm / place / f"hole_{k}.csv", delimiter=",") for k in (0, 1)]
 
 
-def from_sockets(robot, holes):
-    """Mean distance of predicted balls from two points 50 mm apart that are laid through them [mm]."""
-    balls = [robot.positions(q)[:, 0] for q in holes]
+def off_two_points(points, which, spacing):
+    """Distances (n,) of points (n, 3) from two points so far apart, laid through them; which (n,): 0 or 1 [m]."""
 
     def misses(x):
         line = np.array([np.cos(x[3]) * np.cos(x[4]), np.sin(x[3]) * np.cos(x[4]), np.sin(x[4])])
-        return 1e3 * np.concatenate([balls[0] - x[:3], balls[1] - x[:3] - 0.05 * line]).ravel()
+        return 1e3 * (points - x[:3] - (which[:, None] - 0.5) * spacing * line)
 
-    line = balls[1].mean(axis=0) - balls[0].mean(axis=0)
-    start = [*balls[0].mean(axis=0), np.arctan2(line[1], line[0]), np.arcsin(line[2] / np.linalg.norm(line))]
-    return float(np.mean(np.linalg.norm(misses(least_squares(misses, start).x).reshape(-1, 3), axis=1)))
+    first, second = (points[which == k].mean(axis=0) for k in (0, 1))
+    line = (second - first) / np.linalg.norm(second - first)
+    start = [*(first + second) / 2, np.arctan2(line[1], line[0]), np.arcsin(line[2])]
+    return 1e-3 * np.linalg.norm(misses(least_squares(lambda x: misses(x).ravel(), start).x), axis=1)
+
+
+def from_sockets(robot, holes):
+    """Mean distance of predicted balls from two points 50 mm apart that are laid through them [mm]."""
+    balls, which = robot.positions(np.vstack(holes))[:, 0], np.repeat([0, 1], [len(q) for q in holes])
+    return 1e3 * float(np.mean(off_two_points(balls, which, 0.05)))
 
 
 def from_means(robot, holes):
@@ -205,10 +211,10 @@ def held_out(fit, state="after"):
     return [round(1e3 * float(np.sqrt(np.mean(np.sum(part**2, axis=1)))), 4) for part in parts if len(part)]
 
 
-def markdown(head, rows):
-    """A table as the pages have it: the first column is words, the others are numbers."""
+def markdown(head, rows, words=1):
+    """A table as the pages have it: the first columns are words, the others are numbers."""
     lines = [f"| {' | '.join(str(cell) for cell in line)} |" for line in (head, *rows)]
-    return "\n".join([lines[0], f"|---|{'---:|' * (len(head) - 1)}", *lines[1:]])
+    return "\n".join([lines[0], f"|{'---|' * words}{'---:|' * (len(head) - words)}", *lines[1:]])
 
 
 def written(page, name, text):
@@ -219,6 +225,15 @@ def written(page, name, text):
     if not (begin and end):
         raise SystemExit(f"{page} has no place for {name}: {' ... '.join(marks)}")
     page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
+
+
+def of_folder(about, page):
+    """The command line of a program that fits what FOLDER holds, and writes its table into a page."""
+    parser = argparse.ArgumentParser(description=about.splitlines()[0])
+    parser.add_argument("folder", metavar="FOLDER", type=Path)
+    parser.add_argument("--only", default="", metavar="WORDS", help="rows whose names contain them")
+    parser.add_argument("--page", action="store_true", help=f"write the table into docs/{page.name}")
+    return parser
 
 
 def added(fit):

@@ -7,6 +7,7 @@ import numpy as np
 
 import calib
 from tests.project import EXAMPLES
+from tests.urdf_trees import urdf_of
 
 ARM_URDF = """\
 <?xml version="1.0"?>
@@ -103,41 +104,32 @@ def write_pose_loop(folder):
 
     Returns the robot description's path.
     """
-
-    def joint(name, parent, child, xyz, kind="revolute"):
-        return (
-            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-            f'<origin xyz="{xyz}" rpy="0.02 -0.01 0.03"/><axis xyz="0 0 1"/>'
-            '<limit lower="-7" upper="7" effort="1" velocity="1"/></joint>'
-        )
-
-    links = ("ground", "left", "left_end", "right", "right_end", "tip_left", "tip_right")
-    (folder / "pose_loop.urdf").write_text(
-        "<robot name='pose_loop'>"
-        + "".join(f'<link name="{name}"/>' for name in links)
-        + joint("motor_left", "ground", "left", "-0.1 0 0")
-        + joint("motor_right", "ground", "right", "0.1 0 0")
-        + joint("elbow_left", "left", "left_end", "0.3 0 0")
-        + joint("elbow_right", "right", "right_end", "0.3 0 0")
-        + joint("tip_left_origin", "left_end", "tip_left", "0.4 0 0", "fixed")
-        + joint("tip_right_turn", "right_end", "tip_right", "0.4 0 0")
-        + "</robot>"
+    turned = '<origin xyz="{} 0 0" rpy="0.02 -0.01 0.03"/><axis xyz="0 0 1"/>'
+    joints = (
+        ("motor_left", "revolute", "ground", "left", -0.1),
+        ("motor_right", "revolute", "ground", "right", 0.1),
+        ("elbow_left", "revolute", "left", "left_end", 0.3),
+        ("elbow_right", "revolute", "right", "right_end", 0.3),
+        ("tip_left_origin", "fixed", "left_end", "tip_left", 0.4),
+        ("tip_right_turn", "revolute", "right_end", "tip_right", 0.4),
     )
+    (folder / "pose_loop.urdf").write_text(urdf_of(*((*names, turned.format(x)) for *names, x in joints)))
     # the assembled home from the planar geometry; the tilts of the origins open it by less than the 1 mm allowed
-    a, b = 2.0 + 0.03, 1.1 + 0.03
-    left, right = -0.1 + 0.3 * np.exp(1j * a), 0.1 + 0.3 * np.exp(1j * b)
-    size = abs(right - left)
-    tip = (left + right) / 2 + 1j * (right - left) / size * np.sqrt(0.16 - size**2 / 4)
-    angles = np.angle(tip - left), np.angle(tip - right)
-    home = {"elbow_left": angles[0] - a - 0.03, "elbow_right": angles[1] - b - 0.03}
-    home["tip_right_turn"] = angles[0] - angles[1]
+    angles = 2.0 + 0.03, 1.1 + 0.03
+    left, right = ([x + 0.3 * np.cos(a), 0.3 * np.sin(a)] for x, a in zip((-0.1, 0.1), angles, strict=True))
+    across = np.subtract(right, left)
+    high = np.sqrt(0.16 - across @ across / 4) / np.linalg.norm(across)
+    tip = np.add(left, right) / 2 + high * np.array([-across[1], across[0]])
+    ends = [float(np.arctan2(*(tip - end)[::-1])) for end in (left, right)]
+    elbows = [end - angle - 0.03 for end, angle in zip(ends, angles, strict=True)]
     (folder / "pose_loop.yaml").write_text(
         "urdf: pose_loop.urdf\nname_mot: [motor_left, motor_right]\nclosed_loop: [[tip_left, tip_right]]\ntype: [6d]\n"
         "closed_loop_axes: [[x, y, rz]]\nbase: {frame: ground}\n"
         "targets: {tip: {frame: tip_left, xyz: [0.05, 0.02, 0.1]}}\n"
         "parametrisation: [{origin: all, components: [x, y, z], sigma: 1 mm},"
         " {origin: all, components: [rx, ry, rz], sigma: 1 mrad}]\n"
-        f"home: {{motor_left: 2.0, motor_right: 1.1{''.join(f', {name}: {float(x)!r}' for name, x in home.items())}}}\n"
+        f"home: {{motor_left: 2.0, motor_right: 1.1, elbow_left: {elbows[0]!r}, elbow_right: {elbows[1]!r},"
+        f" tip_right_turn: {ends[0] - ends[1]!r}}}\n"
     )
     return folder / "pose_loop.yaml"
 

@@ -7,11 +7,8 @@ of the predicted position plus the noise found. A region is an ellipsoid of thre
 into docs/uncertainty.md.
 """
 
-import argparse
-import re
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -22,9 +19,9 @@ from calib.core.base.errors import CalibrationError
 from calib.core.rows.prediction import ParameterUncertainty
 from tests.claims import splits
 from tests.project import EXAMPLES
+from tests.public_data import markdown, of_folder, written
 
 PAGE = EXAMPLES.parent / "uncertainty.md"
-_PLACE = re.compile(r"(<!-- begin unused rows -->\n).*?(<!-- end unused rows -->)", re.DOTALL)
 TERMS = {"origins": None, "`--terms auto`": "auto"}
 
 
@@ -51,11 +48,7 @@ def held(fit: calib.Calibration, known: ParameterUncertainty, errors: FloatArray
 
 def main() -> None:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("folder", metavar="FOLDER", type=Path)
-    parser.add_argument("--only", default="", metavar="WORDS", help="splits whose names contain them")
-    parser.add_argument("--page", action="store_true", help="write the table into docs/uncertainty.md")
-    options = parser.parse_args()
+    options = of_folder(__doc__, PAGE).parse_args()
     parts: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for split in splits(options.folder):
         if options.only not in f"{split.robot} {split.how}" or len(split.nominal.mechanism.targets) > 1:
@@ -70,15 +63,14 @@ def main() -> None:
                 errors = fit.validation.errors("after", "position", single=True)
                 for name, known in mechanisms(fit):
                     parts.setdefault((name, terms), []).append(held(fit, known, errors))
-    lines = [f"| {len(next(iter(parts.values())))} fits each | {' | '.join(TERMS)} |", "|---|---:|---:|"]
+    rows = []
     for name in dict.fromkeys(name for name, _ in parts):
         means = [100 * np.mean(parts[name, terms], axis=0) for terms in TERMS]
-        lines.append(f"| {name} | {' | '.join(f'{region:.1f}, {one:.1f}' for region, one in means)} |")
-    table = "\n".join(lines)
+        rows.append([name, *(f"{region:.1f}, {one:.1f}" for region, one in means)])
+    table = markdown([f"{len(next(iter(parts.values())))} fits each", *TERMS], rows)
     print(table)
     if options.page:
-        text = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{table}\n{place[2]}", text), encoding="utf-8")
+        written(PAGE, "unused rows", table)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ takes twice as long, 2 where it takes four times as long. With FOLDER, which hol
 evaluations.py, the choice of joint terms is among the rows.
 """
 
-import argparse
 import shutil
 import tempfile
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from calib.core.robots.acceleration import compile_kinematics
 from medrue import robot_file
 from medrue.workspace import target_workspace
 from tests.benchmarks import evaluations
-from tests.benchmarks.timing import least
+from tests.benchmarks.timing import least, print_table
 
 SIGMA = 4e-5
 
@@ -106,7 +105,7 @@ def terms(folder):
     return Growth("fit with `--terms auto`, UR10", "poses", (300, 1200), each)
 
 
-def table(folder=None, rounds=1):
+def table(folder, rounds):
     """Lines of the table."""
     yield "| work | growing | from | to | times as long | slope |"
     yield "|---|---|---:|---:|---:|---:|"
@@ -118,13 +117,5 @@ def table(folder=None, rounds=1):
         yield f"| {growth.work} | {growth.of} | {few} | {many} | {ratio:.1f} | {slope:.2f} |"
 
 
-def main():
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path)
-    for line in table(parser.parse_args().data):
-        print(line, flush=True)
-
-
 if __name__ == "__main__":
-    main()
+    print_table(__doc__, table, 1)

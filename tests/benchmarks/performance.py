@@ -9,6 +9,7 @@ each is taken. FOLDER holds the measurements of others, as for evaluations.py; w
 import argparse
 import subprocess
 import sys
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -114,13 +115,14 @@ def fits(problems, rounds):
         with evaluations.counted() as counts:
             result = calib.fit(robot, data, sigma=sigma)
         assert abs(result.rows.cost / cost - 1) < SAME_COST, (result.rows.cost, cost)
+        ours = partial(calib.fit, robot, data, sigma=sigma)
         taken = least(
             rounds,
-            hand=lambda arm=arm, data=data, measured=measured, sigma=sigma: fit(arm, data.joints, measured, sigma),
-            ours=lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma),
-            compiled=fast(lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma)),
-            judged=lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma).verdict,
-            told=lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma).report(),
+            hand=partial(fit, arm, data.joints, measured, sigma),
+            ours=ours,
+            compiled=fast(ours),
+            judged=lambda ours=ours: ours().verdict,
+            told=lambda ours=ours: ours().report(),
         )
         parts = ("ours", "compiled", "judged", "told")
         ours, quick, judged, told = (ratio(taken[key], taken["hand"]) for key in parts)
@@ -138,12 +140,7 @@ def studies(draws, rounds):
     def study():
         calib.study(robot, q, draws=draws, truth=truth, sigma=4e-5)
 
-    taken = least(
-        rounds,
-        study=study,
-        compiled=fast(study),
-        fit=lambda: calib.fit(robot, data, sigma=4e-5),
-    )
+    taken = least(rounds, study=study, compiled=fast(study), fit=lambda: calib.fit(robot, data, sigma=4e-5))
     return taken["fit"], taken["study"] / draws, taken["compiled"] / draws if NUMBA else None
 
 
@@ -214,7 +211,7 @@ program that only imports the libraries that a fit with pages needs. Commands on
 `medrue`, ran once. This table alone:
 `python -m tests.benchmarks.whole_commands --data FOLDER`.
 """
-    yield from whole_commands.table(max(rounds // 5, 1), folder)
+    yield from whole_commands.table(folder, max(rounds // 5, 1))
     yield """
 ## What people wait for
 

@@ -1,13 +1,12 @@
 """What whole commands take: processor time, and memory, from the shell's prompt to the next.
 
-    python -m tests.benchmarks.whole_commands [--data FOLDER] [--quick]
+    python -m tests.benchmarks.whole_commands [--data FOLDER]
 
 The unit is a program that imports the libraries that a fit with pages needs, and ends. Measurements are simulated, but
 those of the UR10: FOLDER holds those of others, as for evaluations.py; without it, these rows are left out. The byte
 code of all modules is there, and so is what numba compiles, as they are after a first run.
 """
 
-import argparse
 import os
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from calib.core.base.units import PER_SI, millimetres
 from calib.core.data.table_writing import format_table
 from medrue import robot_file
 from medrue.workspace import target_workspace
+from tests.benchmarks.timing import print_table
 from tests.project import EXAMPLES, ROOT
 
 IMPORTS = ["-c", "import numpy, scipy.linalg, pinocchio, yourdfpy, matplotlib.figure"]
@@ -152,7 +152,7 @@ def prepared(folder, data):
     return commands
 
 
-def table(rounds, data=None):
+def table(data, rounds):
     """Lines of the table: ratio to the unit, seconds and memory of this machine, the least of some rounds."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -179,9 +179,4 @@ def table(rounds, data=None):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one round")
-    parser.add_argument("--data", type=Path, help="folder with measurements of others")
-    given = parser.parse_args()
-    for line in table(1 if given.quick else 5, given.data):
-        print(line, flush=True)
+    print_table(__doc__, table, 5)

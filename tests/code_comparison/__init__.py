@@ -8,6 +8,6 @@ never sees. Scores are computed here, alike for all.
 
 To add a code, write a script of some 40 lines in `codes`: it reads a problem (`exchange.Problem`), solves it between
 the marks around a user's lines, and answers with predicted points; name it in `codes/__init__.py`. To add a data set,
-write a file in `data_sets` (origin, licence, columns, checksums, splits), and name it in `data_sets/__init__.py`. A
+say in `data_sets` what it is (origin, licence, columns, checksum, splits), and name it in `data_sets/__init__.py`. A
 kind of problem is a class there that writes a problem for codes, and says how far off predictions are.
 """

@@ -27,7 +27,6 @@ def main(given: Sequence[str] | None = None, sets: Sequence[DataSet] = DATA_SETS
     parser.add_argument(
         "folder", metavar="FOLDER", type=Path, nargs="?", help="a folder for each data set; none: no run"
     )
-    parser.add_argument("--fetch", action="store_true", help="files that are missing, where they lie as they are used")
     parser.add_argument(
         "--environments", metavar="FOLDER", type=Path, help="a virtual environment for each other package"
     )
@@ -43,7 +42,7 @@ def main(given: Sequence[str] | None = None, sets: Sequence[DataSet] = DATA_SETS
         for data in sets:
             if any(word.partition(":")[0].strip() in data.name for word in options.only.split(",")):
                 try:
-                    there.append((data, data.checked(options.folder, fetch=options.fetch)))
+                    there.append((data, data.checked(options.folder)))
                 except MissingDataError as error:
                     missing.append(str(error))
         for line in missing:

@@ -10,9 +10,9 @@ from typing import ClassVar
 from xml.etree import ElementTree
 
 import numpy as np
-from scipy.optimize import least_squares
 
 import calib
+from tests.public_data import off_two_points
 
 from .codes import HERE
 from .data_set import DataSet, Rows, Split
@@ -46,7 +46,7 @@ class Arm(DataSet):
     """
 
     problem: ClassVar[str] = "arm"
-    urdf: str
+    urdf: str = "robot.urdf"
     joints: tuple[str, ...]
     base: str
     link: str
@@ -93,12 +93,4 @@ class Arm(DataSet):
         """Distances [m]; those of sockets from two points as far apart, laid through them."""
         if self.spacing is None:
             return np.linalg.norm(predicted - unseen.read, axis=1)
-        means = [predicted[unseen.read[:, 1] == hole].mean(axis=0) for hole in (0, 1)]
-
-        def misses(x: np.ndarray) -> np.ndarray:
-            line = np.array([np.cos(x[3]) * np.cos(x[4]), np.sin(x[3]) * np.cos(x[4]), np.sin(x[4])])
-            return predicted - x[:3] - (unseen.read[:, 1:] - 0.5) * self.spacing * line
-
-        line = means[1] - means[0]
-        start = [*sum(means) / 2, np.arctan2(line[1], line[0]), np.arcsin(line[2] / np.linalg.norm(line))]
-        return np.linalg.norm(misses(least_squares(lambda x: misses(x).ravel(), start).x), axis=1)
+        return off_two_points(predicted, unseen.read[:, 1], self.spacing)

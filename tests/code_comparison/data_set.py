@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import urllib.request
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -37,9 +36,8 @@ class Rows:
 
 @dataclass(frozen=True)
 class Split:
-    """One way to part the rows; `kind` is `owners`, `random`, `stretches` or `places`."""
+    """One way to part the rows."""
 
-    kind: str
     words: str
     train: Any
     unseen: Any
@@ -56,10 +54,10 @@ class DataSet(ABC):
         licence: Under which others may use it.
         columns: What its files hold, in words, for whoever fetches it by hand.
         folder: Its folder in the folder of all data.
-        files: SHA-256 of each file, by its name in the folder.
+        files: Names in the folder.
+        digest: SHA-256 of all files, one after another.
         splits: Makes the splits, of the folder.
         owners: What its owners, or others before, report.
-        addresses: Where files can be fetched unchanged, by the same name.
         reasons: Why this project is behind, by the words of a split; told where it is.
     """
 
@@ -75,11 +73,11 @@ class DataSet(ABC):
     licence: str
     columns: str
     folder: str
-    files: Mapping[str, str]
+    files: Sequence[str]
+    digest: str
     splits: Callable[[Path], Iterable[Split]]
     _: KW_ONLY
     owners: str = ""
-    addresses: Mapping[str, str] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
 
     @abstractmethod
@@ -90,30 +88,19 @@ class DataSet(ABC):
     def errors(self, unseen: Any, predicted: np.ndarray) -> np.ndarray:
         """How far off predictions are, one number for each unseen row [m, or px]."""
 
-    def checked(self, folder: Path, *, fetch: bool = False) -> Path:
+    def checked(self, folder: Path) -> Path:
         """Return the folder of its files, which are those that were published.
 
         Raises:
             MissingDataError: A file is missing, or another one.
         """
-        here = folder / self.folder
-        for name, digest in self.files.items():
-            path = here / name
-            if not path.is_file() and fetch and name in self.addresses:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                try:
-                    with urllib.request.urlopen(self.addresses[name], timeout=30) as stream:
-                        path.write_bytes(stream.read())
-                except OSError as error:
-                    raise MissingDataError(f"{self.addresses[name]}: {error}; put the file at {path}") from error
+        here, read = folder / self.folder, hashlib.sha256()
+        for path in (here / name for name in self.files):
             if not path.is_file():
-                where = self.addresses.get(name, f"{self.origin}, and write {self.columns}")
-                raise MissingDataError(f"{path} is missing; take it from {where}")
-            digest_read = hashlib.sha256(path.read_bytes()).hexdigest()
-            if digest_read != digest:
-                raise MissingDataError(
-                    f"{path} has SHA-256 {digest_read[:12]}..., not {digest[:12]}...: other data than here"
-                )
+                raise MissingDataError(f"{path} is missing; take it from {self.origin}, and write {self.columns}")
+            read.update(path.read_bytes())
+        if read.hexdigest() != self.digest:
+            raise MissingDataError(f"{here}: {', '.join(self.files)} are other data than here, by their SHA-256")
         return here
 
 

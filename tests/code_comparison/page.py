@@ -12,12 +12,14 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from tests.public_data import markdown
+from tests.public_data import written as write_part
+
 from .codes import CODES, OURS, PLACED
 from .data_set import DataSet
 
 BEHIND = 1.03  # RMS of this project over the best, up to which the page calls it even
 TITLES = {"arm": "Arms", "photographs": "Hand-eye, from photographs", "printers": "Delta printers"}
-_PLACE = re.compile(r"(<!-- begin results -->\n).*?(<!-- end results -->)", re.DOTALL)
 _MARK = {"better": "", "worse": " ▲", "tie": " ="}
 _STYLE = {"svg.fonttype": "none", "svg.hashsalt": "comparison", "font.size": 9}
 _COLOURS = ("#7F7F7F", "#56B4E9", "#0072B2", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#000000")
@@ -46,9 +48,7 @@ def written(page: Path, told: dict[str, Any], sets: Sequence[DataSet]) -> None:
         "\n\n".join(f"{machine}." for machine in _machines(rows)),
         "; ".join(told["versions"]) + ".",
     ]
-    text = page.read_text(encoding="utf-8")
-    body = "\n\n".join(part for part in parts if part)
-    page.write_text(_PLACE.sub(lambda match: f"{match[1]}\n{body}\n\n{match[2]}", text), encoding="utf-8")
+    write_part(page, "results", "\n\n".join(part for part in parts if part))
 
 
 _KEY = """\
@@ -113,10 +113,7 @@ def _standing(rows: Sequence[Row]) -> str:
 
 def _summary(rows: Sequence[Row]) -> str:
     """One line of each code, over all splits."""
-    lines = [
-        "| code | splits | better, tie, worse | error | claim | verdict right | fit [s] | command [s] | lines |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
-    ]
+    lines = []
     pairs = [(own, ours) for told, own in _splits(rows) if (ours := _own(told, own))]
     for name in _names(rows):
         n_splits = sum(row["code"] == name for row in rows)
@@ -131,34 +128,23 @@ def _summary(rows: Sequence[Row]) -> str:
         verdicts = [row["verdict_right"] for row in own if "verdict_right" in row]
         verdict = f"{sum(verdicts)} of {len(verdicts)}" if verdicts else "none"
         fit, command = (median(r[key] for r in own) for key in ("fit_seconds", "command_seconds"))
-        middle = f"{median(over):.2f}" if over else ""
-        lines.append(
-            f"| {name} | {len(own)} of {n_splits} | {counts} | {middle} | {claim} | {verdict}"
-            f" | {fit:.2f} | {command:.1f} | {code.lines if name != PLACED else ''} |"
-        )
-    return "\n".join(lines)
+        cells = [f"{len(own)} of {n_splits}", counts, f"{median(over):.2f}" if over else "", claim, verdict]
+        lines.append([name, *cells, f"{fit:.2f}", f"{command:.1f}", code.lines if name != PLACED else ""])
+    head = "code, splits, better/tie/worse, error, claim, verdict right, fit [s], command [s], lines"
+    return markdown([name.replace("/", ", ") for name in head.split(", ")], lines)
 
 
 def _accuracy(rows: Sequence[Row], unit: str, scale: float) -> str:
-    names = _names(rows)
-    lines = [
-        f"| RMS of unseen rows [{unit}] | rows: fitted, unseen | " + " | ".join(names) + " |",
-        "|---|---|" + "---:|" * len(names),
-    ]
+    names, lines = _names(rows), []
     for told, own in _splits(rows):
         least = min((row["rms"] for row in own.values()), default=0.0)
         cells = []
-        for name in names:
-            if name not in own:
-                cells.append("")
-                continue
-            row = own[name]
-            number = f"{scale * row['rms']:.3f}"
-            number = f"**{number}**" if row["rms"] == least else number
-            cells.append(f"{number}{_MARK[row['compared']] if 'compared' in row else ''}")
-        words = f"{told['data']}: {told['split']}"
-        lines.append(f"| {words} | {told['n_train']}, {told['n_unseen']} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        for row in (own.get(name) for name in names):
+            number = f"{scale * row['rms']:.3f}" if row else ""
+            number = f"**{number}**" if row and row["rms"] == least else number
+            cells.append(f"{number}{_MARK[row['compared']] if row and 'compared' in row else ''}")
+        lines.append([f"{told['data']}: {told['split']}", f"{told['n_train']}, {told['n_unseen']}", *cells])
+    return markdown([f"RMS of unseen rows [{unit}]", "rows: fitted, unseen", *names], lines, words=2)
 
 
 def _behind(rows: Sequence[Row], sets: Sequence[DataSet]) -> str:
@@ -187,8 +173,8 @@ def _missing(rows: Sequence[Row]) -> str:
         codes, data = (list(dict.fromkeys(row[key] for row in group)) for key in ("code", "data"))
         n_splits = len({(row["data"], row["split"]) for row in group})
         why = group[0]["failed"].replace("|", "/").partition(" (RMS")[0][:200]
-        lines.append(f"| {', '.join(codes)} | {', '.join(data)} ({n_splits} split{'s' * (n_splits > 1)}) | {why} |")
-    return "\n".join(["| no answer by | on | why |", "|---|---|---|", *lines]) if lines else ""
+        lines.append([", ".join(codes), f"{', '.join(data)} ({n_splits} split{'s' * (n_splits > 1)})", why])
+    return markdown(["no answer by", "on", "why"], lines, words=3) if lines else ""
 
 
 def _machines(rows: Sequence[Row]) -> list[str]:
@@ -202,13 +188,12 @@ def _machines(rows: Sequence[Row]) -> list[str]:
 
 
 def _origins(sets: Sequence[DataSet], rows: Sequence[Row]) -> str:
-    used = {row["data"] for row in rows}
-    lines = ["| data | robot, instrument | origin | licence |", "|---|---|---|---|"]
+    used, lines = {row["data"] for row in rows}, []
     for data in sets:
         if data.name in used:
             origin = re.sub(r"(https://\S+)", r"<\1>", data.origin) + (f"; {data.owners}" if data.owners else "")
-            lines.append(f"| {data.name} | {data.robot}; {data.instrument} | {origin} | {data.licence} |")
-    return "\n".join(lines)
+            lines.append([data.name, f"{data.robot}; {data.instrument}", origin, data.licence])
+    return markdown(["data", "robot, instrument", "origin", "licence"], lines, words=4)
 
 
 def drawing(rows: Sequence[Row]) -> str:

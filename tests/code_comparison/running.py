@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -36,7 +35,7 @@ def run(code: Code, folder: Path, environments: Path | None) -> dict[str, object
     options = [code.option] if code.option else []
     limited = ["sh", "-c", f'ulimit -St {LIMIT}; exec "$@"', "sh"]  # no `preexec_fn`: it forks with all that is loaded
     command = [*limited, str(python), str(HERE / code.script), str(folder), str(answer), *options]
-    before, started = os.times(), time.perf_counter()
+    before = os.times()
     own = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "agg"}
     done = subprocess.run(command, capture_output=True, text=True, env=own, check=False)
     after = os.times()
@@ -46,7 +45,7 @@ def run(code: Code, folder: Path, environments: Path | None) -> dict[str, object
         last = [line for line in done.stderr.splitlines() if line.strip()]
         return {"failed": last[-1].replace(f"{folder}/", "") if last else f"ended with {done.returncode} and no word"}
     cpu = after.children_user + after.children_system - before.children_user - before.children_system
-    return json.loads(answer.read_text()) | {"command_seconds": cpu, "wall_seconds": time.perf_counter() - started}
+    return json.loads(answer.read_text()) | {"command_seconds": cpu}
 
 
 def results(
@@ -65,13 +64,8 @@ def results(
             data.write(here, split, Path(name))
             for code in (code for code in codes if code.problem == data.problem):
                 answer = run(code, Path(name), environments)
-                answer |= {"data": data.name, "kind": split.kind, "split": split.words, "code": code.name}
-                answer |= {
-                    "problem": data.problem,
-                    "chance": data.chance,
-                    "n_train": len(split.train),
-                    "n_unseen": len(split.unseen),
-                }
+                answer |= {"data": data.name, "split": split.words, "code": code.name, "problem": data.problem}
+                answer |= {"chance": data.chance, "n_train": len(split.train), "n_unseen": len(split.unseen)}
                 points = answer.pop("points", None)
                 if points is not None:
                     answer["errors"] = data.errors(split.unseen, np.array(points)).tolist()
@@ -91,13 +85,13 @@ def rms(answer: dict[str, object]) -> float:
 
 
 def summary(answers: Sequence[dict[str, object]]) -> list[dict[str, object]]:
-    """What the page needs of results: RMS, largest error, costs, and how each code compares with this project."""
+    """What the page needs of results: RMS, costs, and how each code compares with this project."""
     rows = []
     for answer in answers:
         same = [o for o in answers if (o["data"], o["split"]) == (answer["data"], answer["split"]) and "errors" in o]
         row = {key: value for key, value in answer.items() if key != "errors"}
         if "errors" in answer:
-            row |= {"rms": rms(answer), "max": max(answer["errors"])}
+            row["rms"] = rms(answer)
             own = OURS[answer.get("problem", "arm")]
             ours, nominal = (next((o for o in same if o["code"] == name), None) for name in (own, PLACED))
             if ours is not None and answer["code"] not in (own, PLACED):

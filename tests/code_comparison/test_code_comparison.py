@@ -38,6 +38,8 @@ JOINT = """<joint name="j{0}" type="revolute"><parent link="l{0}"/><child link="
 <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint><link name="l{1}"/>"""
 POINT = np.array([0.0, 0.03, 0.1])
 PIXEL = 0.2
+TOLD = dict.fromkeys(("robot", "instrument", "licence", "columns"), "simulated")
+TOLD |= {"origin": "this test", "folder": "arm", "files": (), "digest": hashlib.sha256().hexdigest()}
 
 
 def arm(errors):
@@ -75,12 +77,12 @@ def watched(common, links, q, unseen):
             rows += [[*joints, k, *marker, *pixel] for marker, pixel in zip(markers, seen, strict=True)]
     table = np.array(rows)
     return Watched(
-        "watched", splits=lambda _: [Split("random", "40 poses", Rows(table[:, :6], table[:, 6:]), unseen)],
+        "watched", splits=lambda _: [Split("40 poses", Rows(table[:, :6], table[:, 6:]), unseen)],
         T_link_markers=pose([0, 0, 0], [0.0, 0.03, 0.1]), lenses=lambda _: [lens, lens], **common,
     )  # fmt: skip
 
 
-def photographs(common):
+def photographs():
     """Simulated photographs of a board on a tool, seen as OpenCV has it; the lens is not the published one."""
     cv2 = pytest.importorskip("cv2")
     rng = np.random.default_rng(6)
@@ -94,16 +96,15 @@ def photographs(common):
         at = np.linalg.inv(camera) @ where
         seen = cv2.projectPoints(corners, cv2.Rodrigues(at[:3, :3])[0], at[:3, 3], matrix, np.array([-0.1, 0.1, 0, 0]))
         pixels.append(seen[0][:, 0] + PIXEL * rng.standard_normal((35, 2)))
-    names = ("robot", "instrument", "origin", "licence", "columns", "folder", "files")
     images = Images(np.array(tools), (corners,) * 16, tuple(pixels))
     start = [(*T[:3, 3] + 0.02, *Rotation.from_matrix(T[:3, :3]).as_quat()) for T in (camera, board)]
     return Photographs(
         "shots", splits=lambda _: list(halves(images))[:1], camera=start[0], board=start[1],
-        intrinsics=(1210.0, 1210, 630, 510), size=(1280, 1000), **{name: common[name] for name in names},
+        intrinsics=(1210.0, 1210, 630, 510), size=(1280, 1000), **TOLD,
     )  # fmt: skip
 
 
-def printer(common):
+def printer():
     """A simulated delta whose probe reads 0.3 mm at 13 places, where arms of 215 mm end (Pythagoras)."""
     angles, radius, ends = np.radians([210.1, 329.9, 90.0]), 105.2, np.array([250.1, 249.6, 250.4])
     towers = radius * np.column_stack([np.cos(angles), np.sin(angles)])
@@ -116,9 +117,8 @@ def printer(common):
     down = [top - 0.3 - np.sqrt(215**2 - np.sum((towers - spot) ** 2, axis=1)) for spot in spots]
     rows = tuple(Row(0.3, (", ".join(f"{item:.1f}" for item in 80 * steps),)) for steps in down)
     folds = tuple(left_out("\n".join([*head, "[delta_calibrate]", "radius: 90"]), rows))[:2]
-    names = ("robot", "instrument", "origin", "licence", "columns", "folder", "files")
-    split = Split("random", "two of 13 rows", *(Folds(folds, fitted, False) for fitted in (True, False)))
-    return Printers("printer", splits=lambda _: [split], **{name: common[name] for name in names})
+    split = Split("two of 13 rows", *(Folds(folds, fitted, False) for fitted in (True, False)))
+    return Printers("printer", splits=lambda _: [split], **TOLD)
 
 
 @pytest.fixture(scope="module")
@@ -155,24 +155,23 @@ def stand_ins(tmp_path_factory):
             sockets += [[place, hole]] * (len(touched) - len(sockets))
     balls = Rows(np.array(touched), np.array(sockets, float))
     digest = hashlib.sha256((folder / "arm" / "arm.urdf").read_bytes()).hexdigest()
-    common = {
-        "robot": "simulated arm", "instrument": "simulated", "origin": "this test", "licence": "none",
-        "columns": "none", "folder": "arm", "files": {"arm.urdf": digest}, "urdf": "arm.urdf", "base": "l0",
-        "link": "l6", "joints": tuple(f"j{k}" for k in range(6)), "point": tuple(POINT), "point_sigma": 0.01,
+    common = TOLD | {
+        "files": ("arm.urdf",), "digest": digest, "urdf": "arm.urdf", "base": "l0", "link": "l6",
+        "joints": tuple(f"j{k}" for k in range(6)), "point": tuple(POINT), "point_sigma": 0.01,
     }  # fmt: skip
     rows = np.arange(140)
     here = balls.read[:, 0] == 2
     return folder, (
-        Arm("points", splits=lambda _: [Split("random", "60 rows", points[rows < 60], points[rows >= 60])], **common),
+        Arm("points", splits=lambda _: [Split("60 rows", points[rows < 60], points[rows >= 60])], **common),
         Arm(
             "sockets",
-            splits=lambda _: [Split("places", "one place", balls[~here], balls[here])],
+            splits=lambda _: [Split("one place", balls[~here], balls[here])],
             spacing=0.05,
             **common,
         ),
         watched(common, links[:40], q[:40], points[rows >= 60]),
-        photographs(common | {"files": {}}),
-        printer(common | {"files": {}}),
+        photographs(),
+        printer(),
     )
 
 
@@ -342,8 +341,7 @@ def test_errors_of_sockets_are_what_no_place_of_the_artefact_explains(stand_ins)
 
 
 def stations(name="stations"):
-    told = dict.fromkeys(("robot", "instrument", "origin", "licence", "columns", "folder", "urdf"), "")
-    return Stations(name, files={}, splits=lambda _: [], joints=(COLUMN,), base="foot", link="tip", **told)
+    return Stations(name, splits=lambda _: [], joints=(COLUMN,), base="foot", link="tip", **TOLD)
 
 
 def test_an_arm_that_tilts_is_placed_anew_at_each_height():

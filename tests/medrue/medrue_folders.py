@@ -2,7 +2,6 @@
 
 import json
 from html.parser import HTMLParser
-from pathlib import Path
 
 from calib.core.base.own_files import MANIFEST
 
@@ -10,17 +9,25 @@ from calib.core.base.own_files import MANIFEST
 class Checker(HTMLParser):
     """Counts tables and images, and remembers links."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.counts: dict[str, int] = {}
         self.links: list[str] = []
 
-    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attributes):
         self.counts[tag] = self.counts.get(tag, 0) + 1
         self.links += [value for name, value in attributes if name == "href" and value]
 
 
-def check_folder(folder: Path, tables: set[str], figures: set[str], data: tuple[str, ...] = ()) -> None:
+def check_tables(tables):
+    for table in tables:
+        assert "nan" not in table.csv()
+        assert "simulated" in table.csv()
+        assert len(set(table.columns[0].values)) == len(table.columns[0].values)  # rows are selected by name
+        json.dumps(table.to_dict(), allow_nan=False)
+
+
+def check_folder(folder, tables, figures, data=()):
     expected = {f"{name}.{kind}" for name in tables for kind in ("csv", "json")}
     expected |= {f"{name}.{kind}" for name in figures for kind in ("png", "svg")} | {"index.html", *data}
     assert {path.name for path in folder.iterdir()} - {MANIFEST} == expected

@@ -4,12 +4,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib import load
 from calib.core.robots.jacobian import linearise
-from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from medrue import robot_file
-from medrue.both_sides import EXTENDED, PAPER, WAYS, BothSides, run_both_sides
+from medrue.both_sides import EXTENDED, PAPER, WAYS, run_both_sides
 from medrue.both_sides_tables import (
     GOAL,
     NOISE,
@@ -31,42 +29,32 @@ EITHER, ONE = WAYS[2:]
 
 
 @pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load(robot_file())
-
-
-@pytest.fixture(scope="module")
-def extended() -> Robot:
-    return load(robot_file("medrue_extended"))
-
-
-@pytest.fixture(scope="module")
-def both_sides(robot: Robot, extended: Robot) -> BothSides:
+def both_sides(robot, extended):
     """One robot; 42 uniform poses, and 10 chosen ones."""
     joints = np.array(target_workspace().q)[::4]
     first, seeds = PoseSet("uniform", np.flatnonzero(np.arange(105) % 5 < 2)), np.random.SeedSequence(7).spawn(1)
     return run_both_sides(robot, extended, joints, first, (10,), Imperfections(), seeds, None, SilentProgress())
 
 
-def cells(table) -> dict[str, tuple]:
+def cells(table):
     return {column.header: column.values for column in table.columns}
 
 
-def test_the_extended_description_has_the_mechanism_of_the_paper_s(robot: Robot, extended: Robot) -> None:
+def test_the_extended_description_has_the_mechanism_of_the_paper_s(robot, extended):
     for key in ("urdf", "name_mot", "closed_loop", "type", "closed_loop_axes", "home", "base", "targets", "sigma"):
         assert getattr(extended.description, key) == getattr(robot.description, key), key
     joints = np.array(target_workspace().q[::60])
     assert np.abs(extended.positions(joints) - robot.positions(joints)).max() < 1e-12
 
 
-def test_every_origin_has_six_components(extended: Robot) -> None:
+def test_every_origin_has_six_components(extended):
     names = {parameter.name for parameter in extended.parameters}
     origins = {joint.name for joint in extended.urdf.joints}
     assert names >= {f"{name}.{part}" for name in origins for part in ("x", "y", "z", "rx", "ry", "rz")}
     assert len(names) == 6 * len(origins) + 4 > 80
 
 
-def test_positions_from_both_sides_determine_54_combinations(extended: Robot) -> None:
+def test_positions_from_both_sides_determine_54_combinations(extended):
     """The loops of the planar five-bars take no tilt of the links from A to E, but for its square."""
     q = np.array(target_workspace().q[::4])
     sides = Context.from_conditions(from_direction(np.tile([1.0, -1.0], len(q))), {})
@@ -83,17 +71,17 @@ def test_positions_from_both_sides_determine_54_combinations(extended: Robot) ->
 
 
 @pytest.mark.parametrize(("name", "least", "most"), [("q2.ry", 0.0, 1e-9), ("B1.rz", 0.0, 1e-9), ("D1.ry", 1e-2, 1.0)])
-def test_so_say_finite_differences(extended: Robot, name: str, least: float, most: float) -> None:
+def test_so_say_finite_differences(extended, name, least, most):
     q = np.array(target_workspace().q[::100])
     up, down = (extended.with_parameters({name: step}).positions(q) for step in (1e-4, -1e-4))
     assert least <= np.abs(up - down).max() / 2e-4 <= most
 
 
-def test_wear_and_bend_move_the_tool_as_the_docstring_says(robot: Robot, extended: Robot) -> None:
+def test_wear_and_bend_move_the_tool_as_the_docstring_says(robot, extended):
     actual, usual = robot.with_parameters(table3().identified), Imperfections(1e-3, 0.0, 0.0)
     joints, approach = np.array(target_workspace().q[::50]), np.tile([1.0, -1.0, 1.0], 3)
 
-    def positions(rail: RailErrors) -> np.ndarray:
+    def positions(rail):
         return imperfect_robot(extended, actual, usual, np.random.default_rng(1), rail).positions(joints, approach)
 
     x, y, z = pin.rpy.rpyToMatrix(*table3().identified[-6:-3]).T  # the base's axes in the world
@@ -107,7 +95,7 @@ def test_wear_and_bend_move_the_tool_as_the_docstring_says(robot: Robot, extende
     assert np.abs(turns - np.outer(turns @ x, x)).max() < 1e-12
 
 
-def test_the_x_error_falls_to_the_noise_from_both_sides_and_only_with_the_extended_model(both_sides: BothSides) -> None:
+def test_the_x_error_falls_to_the_noise_from_both_sides_and_only_with_the_extended_model(both_sides):
     mean, rms = mean_x(both_sides, EXTENDED)[0, 0], component_rms(both_sides, EXTENDED)[0]
     assert mean < GOAL / 2
     assert NOISE < rms[0] < 1.4 * NOISE
@@ -116,7 +104,7 @@ def test_the_x_error_falls_to_the_noise_from_both_sides_and_only_with_the_extend
     assert mean < mean_x(both_sides, EITHER)[0, 0] < 3 * mean  # half of the visits
 
 
-def test_the_truth_has_what_the_extended_model_has_not(both_sides: BothSides) -> None:
+def test_the_truth_has_what_the_extended_model_has_not(both_sides):
     """Backlash is found as it is on average over the poses: larger than at the rail's ends, where it is not worn."""
     table = cells(extended_parameter_table(both_sides))
     rows = {name: k for k, name in enumerate(table["parameter"])}
@@ -131,7 +119,7 @@ def test_the_truth_has_what_the_extended_model_has_not(both_sides: BothSides) ->
     assert np.sqrt(np.mean(np.square(off))) < 2
 
 
-def test_too_few_readings_for_the_model_leave_the_cell_empty(both_sides: BothSides) -> None:
+def test_too_few_readings_for_the_model_leave_the_cell_empty(both_sides):
     """Ten poses from one side are 30 coordinates for 54 combinations."""
     table = pose_count_table(both_sides)
     content = cells(table)
@@ -146,6 +134,6 @@ def test_too_few_readings_for_the_model_leave_the_cell_empty(both_sides: BothSid
     assert "extended, one side (no answer)" in text
 
 
-def test_an_installed_or_checked_out_description_that_is_not_there_is_named() -> None:
+def test_an_installed_or_checked_out_description_that_is_not_there_is_named():
     with pytest.raises(FileNotFoundError, match=r"medrue_missing\.yaml"):
         robot_file("medrue_missing")

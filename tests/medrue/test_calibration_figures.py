@@ -5,18 +5,12 @@ import pytest
 
 import calib
 from calib.core.rows.registration import register
-from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
 from tests.public_data import motoman
 
 NAMES = list(PARAMETERS)
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return calib.load(robot_file())
 
 
 def test_without_noise_every_kept_parameter_of_table_1_comes_back_to_a_nanometre(robot):
@@ -45,17 +39,6 @@ def test_84_noisy_poses_predict_the_other_336_to_better_than_30_micrometres(robo
     after = np.linalg.norm(fit.robot.positions(q[others])[:, 0] - truth[others], axis=1)
     assert 1e3 * before.mean() > 5
     assert 1e3 * after.mean() < 0.03
-
-
-def test_a_real_arm_measured_with_a_laser_tracker(shared_data):
-    robot, train, test = motoman(shared_data / "motoman_right")
-    fit = calib.fit(robot, train, validation=test)
-    before, after = (fit.validation.table()[state]["rms"] for state in ("before", "after"))
-    assert len(fit.identification.data) == 159
-    assert len(fit.validation.data) == 53
-    # a general solver of the same sum of squares, with the noise 0.187 mm per axis that it leaves
-    assert before == pytest.approx(0.339, abs=0.001)
-    assert after <= 0.075
 
 
 def test_a_real_arm_placed_without_expecting_the_reflector_anywhere_is_as_others_found(shared_data):

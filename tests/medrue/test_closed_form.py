@@ -6,8 +6,6 @@ import pytest
 from medrue.closed_form import (
     ACTUATED_JOINTS,
     PASSIVE_JOINTS,
-    Array,
-    FiveBar,
     five_bar,
     forward,
     name_parameters,
@@ -23,14 +21,14 @@ ROUNDING = 1e-13
 HOME_Q = np.array([[HOME[name] for name in ACTUATED_JOINTS]])
 
 
-def perturbed_parameters(count: int, seed: int) -> Array:
+def perturbed_parameters(count, seed):
     """Parameter sets within 2 mm and 1.5 degrees of nominal, `(count, 36)`."""
     table = table1()
     reach = np.where(np.array(table.units) == "m", 0.002, np.radians(1.5))
     return table.nominal + np.random.default_rng(seed).uniform(-1.0, 1.0, (count, len(PARAMETERS))) * reach
 
 
-def nominal_with(**changes: float) -> Array:
+def nominal_with(**changes):
     """Nominal parameters with some replaced [m, rad]."""
     values = table1().nominal.copy()
     for name, value in changes.items():
@@ -38,12 +36,12 @@ def nominal_with(**changes: float) -> Array:
     return values
 
 
-def assert_links_have_their_lengths(bar: FiveBar, named: dict[str, Array], i: int) -> None:
+def assert_links_have_their_lengths(bar, named, i):
     for start, end, j in ((bar.A, bar.B, 1), (bar.B, bar.E, 2), (bar.C, bar.D, 3), (bar.D, bar.E, 4)):
         assert np.abs(np.abs(end - start) - named[f"L{i}{j}"]).max() < ROUNDING
 
 
-def test_every_link_keeps_its_length_and_the_mechanism_its_assembly_mode() -> None:
+def test_every_link_keeps_its_length_and_the_mechanism_its_assembly_mode():
     q, parameters = target_workspace().q, perturbed_parameters(420, seed=1)
     named = name_parameters(parameters, 420)
     for i in (1, 2):
@@ -52,7 +50,7 @@ def test_every_link_keeps_its_length_and_the_mechanism_its_assembly_mode() -> No
         assert (((np.conj(bar.B - bar.D)) * (bar.E - bar.D)).imag > 0.0).all()
 
 
-def test_x_axis_of_the_support_spans_the_gap() -> None:
+def test_x_axis_of_the_support_spans_the_gap():
     q, parameters = target_workspace().q, perturbed_parameters(420, seed=2)
     parameters[:, [PARAMETERS.index(name) for name in ("phi_bx", "phi_by", "phi_bz")]] = 0.0
     named = name_parameters(parameters, 420)
@@ -64,7 +62,7 @@ def test_x_axis_of_the_support_spans_the_gap() -> None:
     assert np.abs(closed.joint("slide") - (length - gap[:, 0])).max() < ROUNDING
 
 
-def test_proximal_links_lie_along_the_anchors_at_zero() -> None:
+def test_proximal_links_lie_along_the_anchors_at_zero():
     """At q = 0 both proximal links point from C to A, which is how the paper counts q2 to q5."""
     bar = five_bar(1, np.zeros((1, 6)), name_parameters(table1().nominal, 1))
     direction = (bar.A - bar.C) / np.abs(bar.A - bar.C)
@@ -72,7 +70,7 @@ def test_proximal_links_lie_along_the_anchors_at_zero() -> None:
     assert np.abs((bar.D - bar.C) / 0.4 - direction).max() < ROUNDING
 
 
-def test_symmetric_pose_agrees_with_elementary_geometry() -> None:
+def test_symmetric_pose_agrees_with_elementary_geometry():
     """Motors mirrored about the middle of A C: E on the mirror axis, its height from Pythagoras."""
     parameters = nominal_with(
         A1y=0.15, A1z=0.0, C1y=-0.15, C1z=0.0, A2y=0.15, A2z=0.0, C2y=-0.15, C2z=0.0,
@@ -88,7 +86,7 @@ def test_symmetric_pose_agrees_with_elementary_geometry() -> None:
     assert np.abs(closed.passive[0, 4:]).max() < ROUNDING
 
 
-def test_joint_offset_equals_a_change_of_the_joint() -> None:
+def test_joint_offset_equals_a_change_of_the_joint():
     offsets = np.array([0.001, 0.02, -0.03, 0.01, -0.02, 0.04])
     shifted = nominal_with(**{f"dq{k}": float(offset) for k, offset in enumerate(offsets, start=1)})
     q = target_workspace().q
@@ -96,13 +94,13 @@ def test_joint_offset_equals_a_change_of_the_joint() -> None:
     assert np.abs(moved.T_world_tool - offset.T_world_tool).max() < ROUNDING
 
 
-def test_d31_and_d32_do_not_move_the_tool() -> None:
+def test_d31_and_d32_do_not_move_the_tool():
     q = target_workspace().q
     other = forward(q, nominal_with(d31=0.2, d32=0.1))
     assert np.abs(other.T_world_tool - forward(q, table1().nominal).T_world_tool).max() < ROUNDING
 
 
-def test_pose_that_cannot_close_is_nan_and_does_not_touch_its_neighbours() -> None:
+def test_pose_that_cannot_close_is_nan_and_does_not_touch_its_neighbours():
     q = np.vstack([HOME_Q, HOME_Q, HOME_Q])
     q[1, 1:3] = 0.0, np.pi  # elbows 1.1 m apart: the distal links reach 1.04 m
     closed = forward(q, table1().nominal)
@@ -114,13 +112,13 @@ def test_pose_that_cannot_close_is_nan_and_does_not_touch_its_neighbours() -> No
     assert np.array_equal(closed.passive[0], closed.passive[2])
 
 
-def test_support_of_no_length_is_nan() -> None:
+def test_support_of_no_length_is_nan():
     closed = forward(HOME_Q, nominal_with(d42=-0.05))
     assert not closed.closes[0]
     assert np.isnan(closed.p_world_tool).all()
 
 
-def test_one_parameter_set_per_pose_equals_pose_by_pose() -> None:
+def test_one_parameter_set_per_pose_equals_pose_by_pose():
     q, parameters = target_workspace().q[:5], perturbed_parameters(5, seed=3)
     together = forward(q, parameters)
     for row in range(5):
@@ -129,13 +127,13 @@ def test_one_parameter_set_per_pose_equals_pose_by_pose() -> None:
         assert np.abs(alone.passive[0] - together.passive[row]).max() < ROUNDING
 
 
-def test_inverse_undoes_forward_with_any_parameters() -> None:
+def test_inverse_undoes_forward_with_any_parameters():
     q, parameters = target_workspace().q, perturbed_parameters(420, seed=4)
     result = inverse(forward(q, parameters).T_world_tool, parameters)
     assert np.abs(result - q).max() < 1e-12  # rounding, grown where the inverse cosine is steep
 
 
-def test_inverse_finds_every_working_mode() -> None:
+def test_inverse_finds_every_working_mode():
     """With other elbows the tool still arrives, wherever the assembly mode allows it."""
     poses = target_workspace().T_world_tool
     for signs in ((1, 1, 1, 1), (-1, -1, -1, -1), (1, -1, 1, 1)):
@@ -147,7 +145,7 @@ def test_inverse_finds_every_working_mode() -> None:
         assert (np.sign(closed.passive[:, :4]) == signs).all()
 
 
-def test_inverse_out_of_reach_is_nan() -> None:
+def test_inverse_out_of_reach_is_nan():
     poses = target_workspace().T_world_tool[:2].copy()
     poses[1, 1, 3] += 2.0
     q = inverse(poses, table1().nominal)
@@ -155,12 +153,12 @@ def test_inverse_out_of_reach_is_nan() -> None:
     assert np.isnan(q[1]).all()
 
 
-def test_inverse_with_the_support_backwards_is_nan() -> None:
+def test_inverse_with_the_support_backwards_is_nan():
     pose = target_workspace().T_world_tool[:1] @ np.diag([-1.0, -1.0, 1.0, 1.0])
     assert np.isnan(inverse(pose, table1().nominal)).all()
 
 
-def test_sines_are_zero_where_the_distal_links_are_aligned() -> None:
+def test_sines_are_zero_where_the_distal_links_are_aligned():
     angle = np.arccos((0.52 - np.hypot(0.15, 0.26) / 2.0) / 0.4)  # B and D 1.04 m apart, minus a nanometre
     q = np.array([[0.3, angle + 1e-9, np.pi - angle - 1e-9, *HOME_Q[0, 3:]]])
     sines = singularity_sines(q, table1().nominal)
@@ -172,17 +170,17 @@ def test_sines_are_zero_where_the_distal_links_are_aligned() -> None:
     ("q_shape", "parameters_shape"),
     [((6,), (36,)), ((2, 5), (36,)), ((2, 6), (35,)), ((2, 6), (3, 36))],
 )
-def test_wrong_shapes_are_errors(q_shape: tuple[int, ...], parameters_shape: tuple[int, ...]) -> None:
+def test_wrong_shapes_are_errors(q_shape, parameters_shape):
     with pytest.raises(ValueError, match="shape"):
         forward(np.zeros(q_shape), np.zeros(parameters_shape))
 
 
-def test_wrong_shape_of_a_pose_is_an_error() -> None:
+def test_wrong_shape_of_a_pose_is_an_error():
     with pytest.raises(ValueError, match="expected \\(n, 4, 4\\)"):
         inverse(np.eye(4), table1().nominal)
 
 
-def test_results_are_read_only_and_named() -> None:
+def test_results_are_read_only_and_named():
     closed = forward(HOME_Q, table1().nominal)
     for name in PASSIVE_JOINTS:
         assert closed.joint(name)[0] == pytest.approx(HOME[name], abs=1e-15)

@@ -12,13 +12,13 @@ Q = np.array(target_workspace().q)
 PRINTED = error_table(4)["before"]["mean"]
 
 
-def test_no_pose_of_ours_has_as_little_as_the_papers_mean() -> None:
+def test_no_pose_of_ours_has_as_little_as_the_papers_mean():
     errors = errors_of(differences(table3().identified, Q))
     assert (errors.smallest, errors.mean, errors.largest) == pytest.approx((4.93, 15.33, 25.96), abs=0.005)
     assert errors.smallest > PRINTED
 
 
-def test_a_best_fit_of_the_base_does_not_explain_it() -> None:
+def test_a_best_fit_of_the_base_does_not_explain_it():
     nominal, true = (forward(Q, p).p_world_tool for p in (table1().nominal, table3().identified))
     assert errors_of(base_placed(nominal, true)).mean == pytest.approx(8.64, abs=0.005)
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -26,7 +26,7 @@ def test_a_best_fit_of_the_base_does_not_explain_it() -> None:
 
 
 @pytest.mark.quick(0)
-def test_signs_and_orders_of_rotation_do_not_explain_it() -> None:
+def test_signs_and_orders_of_rotation_do_not_explain_it():
     result = list(signs(Q[::5]))
     assert len(result) == 256
     assert min(fourth.mean for _, fourth in result) > 2 * PRINTED
@@ -36,7 +36,7 @@ def test_signs_and_orders_of_rotation_do_not_explain_it() -> None:
 
 
 @pytest.mark.amount(0, 1)
-def test_other_places_explain_table_2_and_not_table_4() -> None:
+def test_other_places_explain_table_2_and_not_table_4():
     """A coarse part of the places that the module tries."""
     result = list(placements(step=0.2, turns=4))
     assert any(second.is_near(error_table(2)["before"]) for second, _ in result)

@@ -1,30 +1,26 @@
 """The simulated experiment: a truth that the paper's model cannot describe, a tracker, and what calibration leaves."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from click.testing import CliRunner
 
-from calib import load, read_measurements
-from calib.core.robots.robot import Robot
+from calib import read_measurements
 from calib.planning.selection import select
-from medrue import robot_file
 from medrue.both_sides import QUICK_COUNTS, run_both_sides
 from medrue.cli import group
 from medrue.closed_form import forward
 from medrue.draws import PoseSet
 from medrue.experiment import QUICK_DRAWS, Experiment, ExperimentTask, experiment_draw
 from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
-from medrue.imperfections import TILTED_JOINTS, Imperfections, ImperfectRobot, approach_in_order, imperfect_robot
+from medrue.imperfections import TILTED_JOINTS, Imperfections, approach_in_order, imperfect_robot
 from medrue.paper_tables import error_table, table3
 from medrue.progress import SilentProgress
 from medrue.tracker import NESTS, PLACE, measure
 from medrue.workspace import target_workspace
-from tests.medrue.medrue_folders import check_folder
+from tests.medrue.medrue_folders import check_folder, check_tables
 
 pytestmark = pytest.mark.quick(0)
 
@@ -32,26 +28,16 @@ NONE = Imperfections(0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load(robot_file())
-
-
-@pytest.fixture(scope="module")
-def extended() -> Robot:
-    return load(robot_file("medrue_extended"))
-
-
-@pytest.fixture(scope="module")
-def actual(robot: Robot) -> Robot:
+def actual(robot):
     return robot.with_parameters(table3().identified)
 
 
-def truth_of(extended: Robot, actual: Robot, imperfections: Imperfections, seed: int = 1) -> ImperfectRobot:
+def truth_of(extended, actual, imperfections, seed=1):
     return imperfect_robot(extended, actual, imperfections, np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")
-def experiment(robot: Robot, extended: Robot) -> Experiment:
+def experiment(robot, extended):
     """Two draws, poses of O1 and uniform ones; of the first one also from both sides, and there with 28 poses."""
     joints = np.array(target_workspace().q)
     chosen = np.sort(select(robot, joints, 84, "O1").chosen)
@@ -67,7 +53,7 @@ def experiment(robot: Robot, extended: Robot) -> Experiment:
     return Experiment(robot, joints, sets, usual, draws, causes, both_sides, 3)
 
 
-def test_without_imperfections_the_truth_is_the_closed_form_with_table_3(extended: Robot, actual: Robot) -> None:
+def test_without_imperfections_the_truth_is_the_closed_form_with_table_3(extended, actual):
     joints = np.array(target_workspace().q[::7])
     truth = truth_of(extended, actual, NONE)
     exact = forward(joints, table3().identified).p_world_tool
@@ -75,14 +61,12 @@ def test_without_imperfections_the_truth_is_the_closed_form_with_table_3(extende
         assert np.abs(truth.positions(joints, np.full(len(joints), side)) - exact).max() < 1e-12
 
 
-def test_the_approach_follows_from_the_order_of_the_visits() -> None:
+def test_the_approach_follows_from_the_order_of_the_visits():
     order = np.array([2, 0, 1])  # from home at 0.343: down to 0.1, up to 0.2, up to 0.3
     assert approach_in_order(np.array([0.2, 0.3, 0.1]), order, 0.343).tolist() == [1, 1, -1]
 
 
-def test_backlash_moves_the_tool_along_the_rail_by_half_of_it_against_the_approach(
-    extended: Robot, actual: Robot
-) -> None:
+def test_backlash_moves_the_tool_along_the_rail_by_half_of_it_against_the_approach(extended, actual):
     joints, approach = np.array(target_workspace().q[:3]), np.array([1.0, 1.0, -1.0])
     exact = truth_of(extended, actual, NONE).positions(joints, approach)
     late = truth_of(extended, actual, Imperfections(1e-3, 0.0, 0.0)).positions(joints, approach)
@@ -90,7 +74,7 @@ def test_backlash_moves_the_tool_along_the_rail_by_half_of_it_against_the_approa
     assert np.abs((late - exact) - np.outer([-0.5e-3, -0.5e-3, 0.5e-3], along)).max() < 1e-12
 
 
-def test_lead_error_grows_with_the_travel(extended: Robot, actual: Robot) -> None:
+def test_lead_error_grows_with_the_travel(extended, actual):
     joints, approach = np.tile(target_workspace().q[0], (2, 1)), np.ones(2)
     joints[:, 0] = (0.1, 0.4)
     exact = truth_of(extended, actual, NONE).positions(joints, approach)
@@ -98,7 +82,7 @@ def test_lead_error_grows_with_the_travel(extended: Robot, actual: Robot) -> Non
     assert np.linalg.norm(np.diff(wrong - exact, axis=0)) == pytest.approx(50e-6, rel=1e-6)
 
 
-def test_tilts_turn_the_eight_axes_and_move_the_tool_mostly_along_the_rail(extended: Robot, actual: Robot) -> None:
+def test_tilts_turn_the_eight_axes_and_move_the_tool_mostly_along_the_rail(extended, actual):
     joints, approach = np.array(target_workspace().q), np.ones(420)
     exact = truth_of(extended, actual, NONE).positions(joints, approach)
     truth = truth_of(extended, actual, Imperfections(0.0, 0.0, 1e-3))
@@ -109,7 +93,7 @@ def test_tilts_turn_the_eight_axes_and_move_the_tool_mostly_along_the_rail(exten
     assert moved[0] > 2 * max(moved[1:])
 
 
-def test_tracker_finds_the_world_and_its_repeatability() -> None:
+def test_tracker_finds_the_world_and_its_repeatability():
     points = np.random.default_rng(2).uniform(-0.5, 0.5, (200, 3))
     exact = measure(points, 0.0, 5, np.random.default_rng(1))
     assert np.abs(exact.positions - points).max() < 1e-12
@@ -119,7 +103,7 @@ def test_tracker_finds_the_world_and_its_repeatability() -> None:
     assert 4e-5 / np.sqrt(15) < seen.frame_sigma < 1e-4
 
 
-def test_the_frame_s_uncertainty_is_the_scatter_of_the_frame() -> None:
+def test_the_frame_s_uncertainty_is_the_scatter_of_the_frame():
     """One far point, 400 trackers: the part of its error that all readings of one tracker share."""
     far = np.array([[0.6, 0.5, 0.1]])
     errors = [measure(far, 4e-5, 5, np.random.default_rng(k)).positions[0] - far[0] for k in range(400)]
@@ -129,12 +113,12 @@ def test_the_frame_s_uncertainty_is_the_scatter_of_the_frame() -> None:
     assert abs(scatter.max() / stated - 1) < 0.2  # 400 draws of a sum of two variances: about 5 percent
 
 
-def test_the_tracker_s_frame_is_not_the_world() -> None:
+def test_the_tracker_s_frame_is_not_the_world():
     assert np.linalg.norm(PLACE.translation) > 1.0
     assert np.linalg.matrix_rank(NESTS - NESTS.mean(axis=0)) == 2
 
 
-def test_calibration_leaves_an_error_that_is_dominated_by_x(experiment: Experiment) -> None:
+def test_calibration_leaves_an_error_that_is_dominated_by_x(experiment):
     for draw in experiment.draws:
         before, after = experiment.validation(draw, "O1")
         squares = np.mean(after**2, axis=0)
@@ -142,7 +126,7 @@ def test_calibration_leaves_an_error_that_is_dominated_by_x(experiment: Experime
         assert np.linalg.norm(after, axis=1).mean() < 0.05 * np.linalg.norm(before, axis=1).mean()
 
 
-def test_the_remaining_error_is_about_the_papers(experiment: Experiment) -> None:
+def test_the_remaining_error_is_about_the_papers(experiment):
     """Sizes of the imperfections are chosen for that; the test keeps text and numbers together."""
     for draw in experiment.draws:
         after = 1e3 * experiment.validation(draw, "O1")[1]
@@ -150,7 +134,7 @@ def test_the_remaining_error_is_about_the_papers(experiment: Experiment) -> None
         assert 0.6 < np.abs(after[:, 0]).mean() / error_table(5)["after_x"]["mean"] < 1.6
 
 
-def test_without_imperfections_only_noise_remains(experiment: Experiment) -> None:
+def test_without_imperfections_only_noise_remains(experiment):
     """Five averaged readings of 40 um, and the fit's own share: well below 0.05 mm in distance."""
     rms = cause_rms(experiment)
     noise = 0.04 / np.sqrt(5)
@@ -160,7 +144,7 @@ def test_without_imperfections_only_noise_remains(experiment: Experiment) -> Non
     assert rms["links out of perpendicular"][3] > rms["tracker noise alone"][3]
 
 
-def test_all_causes_together_leave_more_than_the_largest_of_them(experiment: Experiment) -> None:
+def test_all_causes_together_leave_more_than_the_largest_of_them(experiment):
     """On the same draws; squares of independent causes add up, if only on average."""
     rms = cause_rms(experiment)
     together = rms.pop("all together")
@@ -169,18 +153,14 @@ def test_all_causes_together_leave_more_than_the_largest_of_them(experiment: Exp
     assert together[3] > max(values[3] for values in rms.values())
 
 
-def test_tables_stand_beside_the_papers_and_are_called_simulated(experiment: Experiment) -> None:
+def test_tables_stand_beside_the_papers_and_are_called_simulated(experiment):
     tables = {table.name: table for table in experiment_tables(experiment)}
     assert set(tables) == {"table3", "table4", "ranking", "table5", "causes", "pose_count", "extended"}
     fifth = {column.header: column.values for column in tables["table5"].columns}
     assert fifth["after x"][fifth["error [mm]"].index("mean, paper")] == 0.340
     third = {column.header: column.values for column in tables["table3"].columns}
     assert third["actual (paper: identified)"][0] == pytest.approx(-224.895)
-    for table in tables.values():
-        assert "simulated" in table.csv()
-        assert "nan" not in table.csv()
-        assert len(set(table.columns[0].values)) == len(table.columns[0].values)  # rows are selected by name
-        json.dumps(table.to_dict(), allow_nan=False)
+    check_tables(tables.values())
     assert "chosen so that the error that remains" in tables["causes"].csv()
     text = " ".join(experiment_findings(experiment))
     assert "mostly along x" in text
@@ -188,7 +168,7 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(experiment: Exp
     assert "nan" not in text
 
 
-def test_sentences_follow_the_numbers(experiment: Experiment) -> None:
+def test_sentences_follow_the_numbers(experiment):
     """Without imperfections nothing is mostly along x, and no size was chosen for anything."""
     noise = experiment.causes["tracker noise alone"][:1]
     single = tuple(replace(draw, after=np.tile(draw.after, (2, 1, 1))) for draw in noise)
@@ -205,29 +185,16 @@ def test_sentences_follow_the_numbers(experiment: Experiment) -> None:
     assert str(Imperfections(1e-3, 0.0, 0.0)) == "backlash of the rail of 1 mm"
 
 
-def test_the_same_seed_gives_the_same_experiment(experiment: Experiment) -> None:
-    seed = np.random.SeedSequence(3).spawn(2)[0]
-    again = experiment_draw(
-        ExperimentTask(
-            experiment.robot,
-            experiment.both_sides.extended,
-            experiment.joints,
-            experiment.sets,
-            experiment.imperfections,
-            seed,
-        )
-    )
+def test_the_same_seed_gives_the_same_experiment(experiment):
+    seed, usual = np.random.SeedSequence(3).spawn(2)[0], experiment.imperfections
+    given = experiment.robot, experiment.both_sides.extended, experiment.joints
+    again = experiment_draw(ExperimentTask(*given, experiment.sets, usual, seed))
     assert np.array_equal(again.after, experiment.draws[0].after)
-    other = replace(experiment.imperfections, backlash=0.0)
-    task = ExperimentTask(
-        experiment.robot, experiment.both_sides.extended, experiment.joints, experiment.sets[:1], other, seed
-    )
-    assert not np.array_equal(experiment_draw(task).after[0], again.after[0])
+    other = ExperimentTask(*given, experiment.sets[:1], replace(usual, backlash=0.0), seed)
+    assert not np.array_equal(experiment_draw(other).after[0], again.after[0])
 
 
-def test_the_command_writes_every_table_and_figure_and_one_page(
-    experiment: Experiment, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_command_writes_every_table_and_figure_and_one_page(experiment, extended, monkeypatch, tmp_path):
     requests = []
 
     def known(_robot, _extended, draws, seed, _executor, _progress, imperfections, counts):
@@ -247,7 +214,6 @@ def test_the_command_writes_every_table_and_figure_and_one_page(
     page = (out / "index.html").read_text()
     assert "backlash of the rail of 0.8 mm" in page
     assert "@media print" in page
-    extended = load(robot_file("medrue_extended"))
     data = read_measurements(out / "both_sides.csv", extended)
     assert len(data) == len(set(data.names)) == 840
     assert np.abs(data.approach_directions.sum(axis=0)).tolist() == [0.0] * 6  # each pose from both sides

@@ -2,11 +2,10 @@
 
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 
 from medrue.cli import group
 from medrue.closed_form import forward
@@ -16,19 +15,19 @@ from medrue.workspace import target_workspace
 from tests.medrue.medrue_folders import check_folder
 
 
-def medrue(*arguments: str) -> Result:
+def medrue(*arguments):
     return CliRunner().invoke(group, list(arguments))
 
 
 @pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
+def few(monkeypatch):
     """Two indices and two draws, which is enough to see every file."""
     monkeypatch.setattr("medrue.study.INDICES", ("O1", "O5"))
     monkeypatch.setattr("medrue.study.QUICK", StudySize(2, 2, 1))
 
 
 @pytest.mark.quick(0)
-def test_poses_are_those_of_the_closed_form(tmp_path: Path) -> None:
+def test_poses_are_those_of_the_closed_form(tmp_path):
     out = tmp_path / "poses.csv"
     run = medrue("poses", "--out", str(out), "--json", str(tmp_path / "facts.json"))
     assert run.exit_code == 0, run.output
@@ -51,7 +50,7 @@ def test_poses_are_those_of_the_closed_form(tmp_path: Path) -> None:
 
 @pytest.mark.amount(0, 1)
 @pytest.mark.usefixtures("few")
-def test_study_writes_every_table_and_figure_and_one_page(tmp_path: Path) -> None:
+def test_study_writes_every_table_and_figure_and_one_page(tmp_path):
     out = tmp_path / "study"
     run = medrue("study", "--quick", "--jobs", "1", "--out", str(out), "--json", "-")
     assert run.exit_code == 0, run.output
@@ -86,9 +85,7 @@ def test_study_writes_every_table_and_figure_and_one_page(tmp_path: Path) -> Non
         (("experimnt", "--out", "{}/x"), "No such command"),
     ],
 )
-def test_wrong_input_is_refused_before_anything_is_computed(
-    tmp_path: Path, arguments: tuple[str, ...], message: str
-) -> None:
+def test_wrong_input_is_refused_before_anything_is_computed(tmp_path, arguments, message):
     (tmp_path / "file").write_text("")
     run = medrue(*(argument.format(tmp_path) for argument in arguments))
     assert run.exit_code == 2

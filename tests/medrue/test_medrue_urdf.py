@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pinocchio as pin
 
-from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, Array, forward
+from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import HOME, target_workspace
 from tests.project import ROOT
@@ -19,7 +19,7 @@ ONE_PICOMETRE = 1e-12
 Origin = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
-def expected_tree(values: Array) -> dict[str, tuple[str, str, str, str | None, Origin]]:
+def expected_tree(values):
     """Joint name to (type, parent, child, axis, origin) for given parameters, as the paper's equations ask."""
     p = dict(zip(PARAMETERS, values.tolist(), strict=True))
     x, y, z = "1 0 0", "0 1 0", "0 0 1"
@@ -49,7 +49,7 @@ def expected_tree(values: Array) -> dict[str, tuple[str, str, str, str | None, O
     return tree
 
 
-def model_with(values: Array) -> pin.Model:
+def model_with(values):
     """Pinocchio model of the URDF with its origins placed for other parameters."""
     document = ElementTree.parse(URDF)
     tree = expected_tree(values)
@@ -61,7 +61,7 @@ def model_with(values: Array) -> pin.Model:
     return pin.buildModelFromXML(ElementTree.tostring(document.getroot(), encoding="unicode"))
 
 
-def place_frames(model: pin.Model, joints: dict[str, float]) -> pin.Data:
+def place_frames(model, joints):
     """Forward kinematics of the tree, joint values by name."""
     assert {name for name in model.names if name != "universe"} == set(joints)
     data = model.createData()
@@ -72,13 +72,13 @@ def place_frames(model: pin.Model, joints: dict[str, float]) -> pin.Data:
     return data
 
 
-def pose(model: pin.Model, data: pin.Data, frame: str) -> pin.SE3:
+def pose(model, data, frame):
     """Pose of a frame in the world; the frame must exist."""
     assert model.existFrame(frame)
     return data.oMf[model.getFrameId(frame)].copy()
 
 
-def largest_gap(model: pin.Model, data: pin.Data) -> float:
+def largest_gap(model, data):
     """Largest distance along a closed axis between the frames of a closure [m]."""
     gaps = []
     for first, second, axes in CLOSURES:
@@ -88,7 +88,7 @@ def largest_gap(model: pin.Model, data: pin.Data) -> float:
     return float(max(gaps))
 
 
-def assert_closed_form_agrees(values: Array, q: Array) -> None:
+def assert_closed_form_agrees(values, q):
     model = model_with(values)
     closed = forward(q, values)
     assert closed.closes.all()
@@ -101,7 +101,7 @@ def assert_closed_form_agrees(values: Array, q: Array) -> None:
         assert largest_gap(model, data) < ONE_PICOMETRE
 
 
-def test_tree_matches_the_paper_with_nominal_values() -> None:
+def test_tree_matches_the_paper_with_nominal_values():
     by_name = {}
     for joint in ElementTree.parse(URDF).getroot().iterfind("joint"):
         parent, child, origin, axis = (joint.find(tag) for tag in ("parent", "child", "origin", "axis"))
@@ -114,17 +114,10 @@ def test_tree_matches_the_paper_with_nominal_values() -> None:
     assert by_name == expected_tree(table1().nominal)  # exactly: the file holds 17 digits where they are needed
 
 
-def test_closed_form_equals_the_urdf_at_nominal_parameters() -> None:
-    assert_closed_form_agrees(table1().nominal, target_workspace().q[::7])
-
-
-def test_closed_form_equals_the_urdf_at_actual_parameters() -> None:
-    assert_closed_form_agrees(table1().actual, target_workspace().q[::7])
-
-
-def test_closed_form_equals_the_urdf_at_perturbed_parameters() -> None:
-    generator = np.random.default_rng(20150107)
-    table = table1()
+def test_closed_form_equals_the_urdf_at_nominal_actual_and_perturbed_parameters():
+    generator, table = np.random.default_rng(20150107), table1()
+    for values in (table.nominal, table.actual):
+        assert_closed_form_agrees(values, target_workspace().q[::7])
     reach = np.where(np.array(table.units) == "m", 0.002, np.radians(1.5))
     for _ in range(25):
         rows = generator.integers(len(target_workspace().q), size=8)
@@ -132,12 +125,12 @@ def test_closed_form_equals_the_urdf_at_perturbed_parameters() -> None:
         assert_closed_form_agrees(values, target_workspace().q[rows])
 
 
-def test_home_closes_the_loops_to_rounding() -> None:
+def test_home_closes_the_loops_to_rounding():
     model = pin.buildModelFromUrdf(str(URDF))
     assert largest_gap(model, place_frames(model, dict(HOME))) < 1e-15  # a few units in the last place of 1 m
 
 
-def test_workspace_and_home_stay_inside_the_joint_limits() -> None:
+def test_workspace_and_home_stay_inside_the_joint_limits():
     limits = joint_limits()
     closed = forward(target_workspace().q, table1().nominal)
     values = np.hstack([target_workspace().q, closed.passive])
@@ -148,7 +141,7 @@ def test_workspace_and_home_stay_inside_the_joint_limits() -> None:
         assert lower < HOME[name] < upper, name
 
 
-def test_limits_exclude_the_other_assembly_mode() -> None:
+def test_limits_exclude_the_other_assembly_mode():
     """The mirror image of E1 and E2 in the line B D needs an elbow beyond its limit, in all 420 poses."""
     limits = joint_limits()
     closed = forward(target_workspace().q, table1().nominal)
@@ -168,7 +161,7 @@ def test_limits_exclude_the_other_assembly_mode() -> None:
     assert limits["slide"][0] > -2.0 * (p["d41"] + p["d42"])  # the support pointing the other way
 
 
-def joint_limits() -> dict[str, tuple[float, float]]:
+def joint_limits():
     by_name = {}
     for joint in ElementTree.parse(URDF).getroot().iterfind("joint"):
         limit = joint.find("limit")
@@ -178,7 +171,7 @@ def joint_limits() -> dict[str, tuple[float, float]]:
     return by_name
 
 
-def test_every_moving_link_has_a_possible_inertia() -> None:
+def test_every_moving_link_has_a_possible_inertia():
     model = pin.buildModelFromUrdf(str(URDF))
     for name, inertia in zip(model.names[1:], list(model.inertias)[1:], strict=True):
         moments = np.sort(np.linalg.eigvalsh(inertia.inertia))
@@ -187,6 +180,6 @@ def test_every_moving_link_has_a_possible_inertia() -> None:
         assert moments[0] + moments[1] >= moments[2] * (1.0 - 1e-9), name
 
 
-def test_shapes_are_primitives_that_every_program_reads() -> None:
+def test_shapes_are_primitives_that_every_program_reads():
     shapes = {shape.tag for geometry in ElementTree.parse(URDF).iter("geometry") for shape in geometry}
     assert shapes <= {"box", "cylinder", "sphere"}

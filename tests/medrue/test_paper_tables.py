@@ -12,7 +12,7 @@ from medrue.paper_tables import PARAMETERS, error_table, table1, table3
 CSV = Path(medrue.__file__).parent / "paper" / "table1.csv"
 
 
-def test_table_has_the_36_parameters_once_each_with_si_units() -> None:
+def test_table_has_the_36_parameters_once_each_with_si_units():
     table = table1()
     assert table.names == PARAMETERS
     assert len(set(PARAMETERS)) == 36
@@ -20,7 +20,7 @@ def test_table_has_the_36_parameters_once_each_with_si_units() -> None:
     assert angles == {"dq2", "dq3", "dq4", "dq5", "dq6", "phi_bx", "phi_by", "phi_bz"}
 
 
-def test_values_are_the_printed_ones() -> None:
+def test_values_are_the_printed_ones():
     table = table1()
     with CSV.open(encoding="utf-8") as file:
         for index, row in enumerate(csv.DictReader(file)):
@@ -29,22 +29,22 @@ def test_values_are_the_printed_ones() -> None:
                 assert getattr(table, column)[index] * factor == pytest.approx(float(row[column]), rel=1e-14)
 
 
-def test_lengths_are_the_floats_of_their_decimal_text() -> None:
+def test_lengths_are_the_floats_of_their_decimal_text():
     table = table1()
     assert table.nominal[PARAMETERS.index("d31")] == 0.1668
     assert table.nominal[PARAMETERS.index("A1y")] == -0.233
 
 
-def test_redundant_parameters_are_the_papers_eight() -> None:
+def test_redundant_parameters_are_the_papers_eight():
     assert set(table1().redundant) == {"A2y", "A2z", "d31", "d32", "d41", "d5", "xb", "zb"}
 
 
-def test_arrays_are_read_only() -> None:
+def test_arrays_are_read_only():
     with pytest.raises(ValueError):
         table1().nominal[0] = 0.0
 
 
-def test_table_3_has_the_same_parameters_and_keeps_the_redundant_ones_nominal() -> None:
+def test_table_3_has_the_same_parameters_and_keeps_the_redundant_ones_nominal():
     table = table3()
     assert table.nominal == pytest.approx(table1().nominal, abs=1e-15)
     assert table.identified[PARAMETERS.index("A1y")] == -0.224895
@@ -61,5 +61,5 @@ def test_table_3_has_the_same_parameters_and_keeps_the_redundant_ones_nominal() 
         (5, "after_x", (0.340, 0.819, 0.186)),
     ],
 )
-def test_error_tables_are_the_printed_ones(number: int, column: str, values: tuple[float, float, float]) -> None:
+def test_error_tables_are_the_printed_ones(number, column, values):
     assert tuple(error_table(number)[column][row] for row in ("mean", "max", "std")) == values

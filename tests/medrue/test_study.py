@@ -1,17 +1,13 @@
 """The simulation study: exact recovery, errors as theory predicts them, and a ranking that is more than luck."""
 
-import json
-
 import numpy as np
 import pytest
 from scipy.stats import ttest_rel
 
-from calib import fit, load
+from calib import fit
 from calib.core.base.workers import Workers
 from calib.core.robots.jacobian import linearise
-from calib.core.robots.robot import Robot
 from calib.planning.selection import select
-from medrue import robot_file
 from medrue.draws import Calibrator, DrawOutcome, DrawTask, PoseSet, measurements, run
 from medrue.paper_tables import PARAMETERS, error_table, table1
 from medrue.ranking import agreement, rank, ranking_table, standard_error
@@ -19,6 +15,7 @@ from medrue.result_tables import ResultTable, TableColumn
 from medrue.study import SIGMA, PaperStudy, StudySize, choose_sets, error_floors, summary, true_positions
 from medrue.study_tables import study_findings, study_tables
 from medrue.workspace import target_workspace
+from tests.medrue.medrue_folders import check_tables
 
 pytestmark = pytest.mark.quick(0)
 
@@ -26,12 +23,7 @@ DRAWS = 40
 
 
 @pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load(robot_file())
-
-
-@pytest.fixture(scope="module")
-def task(robot: Robot) -> DrawTask:
+def task(robot):
     """84 poses chosen by O1 and 84 uniform ones, measured on the robot of Table I."""
     joints = np.array(target_workspace().q)
     chosen = np.sort(select(robot, joints, 84, "O1", sigma=SIGMA).chosen)
@@ -41,11 +33,11 @@ def task(robot: Robot) -> DrawTask:
 
 
 @pytest.fixture(scope="module")
-def outcome(task: DrawTask) -> DrawOutcome:
+def outcome(task):
     return run([task], None, lambda done: None)[0]
 
 
-def test_a_draw_ends_in_the_minimum_that_fit_finds(task: DrawTask) -> None:
+def test_a_draw_ends_in_the_minimum_that_fit_finds(task):
     noisy = task.noisy(task.seeds[0])
     start = task.robot.with_parameters(table1().actual)
     calibrator = Calibrator(task, task.sets[0], start, start.assemble(task.joints).passive)
@@ -54,7 +46,7 @@ def test_a_draw_ends_in_the_minimum_that_fit_finds(task: DrawTask) -> None:
     assert np.abs(difference / fitted.statistics.std).max() < 1e-3  # of a standard deviation
 
 
-def test_predicted_covariance_agrees_with_the_scatter_over_draws(task: DrawTask, outcome: DrawOutcome) -> None:
+def test_predicted_covariance_agrees_with_the_scatter_over_draws(task, outcome):
     """The Mahalanobis distances of all draws add up to a chi-square of 28 degrees of freedom each."""
     actual = task.robot.with_parameters(table1().actual)
     free = task.robot.is_free
@@ -66,9 +58,7 @@ def test_predicted_covariance_agrees_with_the_scatter_over_draws(task: DrawTask,
         assert abs(total - n) < 4 * np.sqrt(2 * n)
 
 
-def test_identification_reaches_the_floor_of_theory_and_does_not_fall_below(
-    task: DrawTask, outcome: DrawOutcome
-) -> None:
+def test_identification_reaches_the_floor_of_theory_and_does_not_fall_below(task, outcome):
     actual = task.robot.with_parameters(table1().actual)
     floors = error_floors(actual, task.joints, task.sets, SIGMA)
     for s, pose_set in enumerate(task.sets):
@@ -76,7 +66,7 @@ def test_identification_reaches_the_floor_of_theory_and_does_not_fall_below(
         assert abs(squares.mean() / floors[s] ** 2 - 1) < 4 * standard_error(squares) / floors[s] ** 2
 
 
-def test_poses_of_o1_beat_uniform_ones(task: DrawTask, outcome: DrawOutcome) -> None:
+def test_poses_of_o1_beat_uniform_ones(task, outcome):
     floors = error_floors(task.robot, task.joints, task.sets, SIGMA)
     assert floors[0] < 0.92 * floors[1]
     largest = np.stack(
@@ -92,9 +82,7 @@ def test_poses_of_o1_beat_uniform_ones(task: DrawTask, outcome: DrawOutcome) -> 
 
 
 @pytest.mark.amount(0, 1)
-def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(
-    task: DrawTask, outcome: DrawOutcome, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(task, outcome, monkeypatch):
     monkeypatch.setattr("medrue.draws.CHUNK", 2)
     monkeypatch.setattr("medrue.study.INDICES", ("O1",))
     few = DrawTask(task.robot, task.joints, task.truth, task.sets, task.sigma, task.seeds[:4])
@@ -108,7 +96,7 @@ def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(
 
 
 @pytest.fixture(scope="module")
-def small_study(task: DrawTask, outcome: DrawOutcome) -> PaperStudy:
+def small_study(task, outcome):
     """A study of two pose sets, put together from the draws above."""
     chosen, others = (
         task.sets[0].chosen,
@@ -126,7 +114,7 @@ def small_study(task: DrawTask, outcome: DrawOutcome) -> PaperStudy:
     )
 
 
-def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study: PaperStudy) -> None:
+def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study):
     tables = {table.name: table for table in study_tables(small_study)}
     assert set(tables) == {"table1", "table2", "ranking", "floor", "observability"}
     first = {column.header: column.values for column in tables["table1"].columns}
@@ -137,15 +125,11 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study: Pa
     second = {column.header: column.values for column in tables["table2"].columns}
     row = second["error [mm]"].index("mean, paper")
     assert second["O1"][row] == error_table(2)["O1"]["mean"]
-    for table in tables.values():
-        assert "nan" not in table.csv()
-        assert "simulated" in table.csv()
-        assert len(set(table.columns[0].values)) == len(table.columns[0].values)  # rows are selected by name
-        json.dumps(table.to_dict(), allow_nan=False)
+    check_tables(tables.values())
     assert "before: the nominal robot at the validation poses of O1" in tables["table2"].csv()
 
 
-def test_findings_say_what_the_numbers_say(small_study: PaperStudy) -> None:
+def test_findings_say_what_the_numbers_say(small_study):
     text = " ".join(study_findings(small_study))
     assert "Without noise, 28 parameters come back" in text
     assert "better by more than chance: O1 than uniform" in text
@@ -154,7 +138,7 @@ def test_findings_say_what_the_numbers_say(small_study: PaperStudy) -> None:
     assert "nan" not in text
 
 
-def test_errors_before_are_those_of_the_nominal_robot(small_study: PaperStudy) -> None:
+def test_errors_before_are_those_of_the_nominal_robot(small_study):
     others = small_study.sets[0].validation_indices(420)
     nominal = true_positions(small_study.joints, table1().nominal)[others]
     errors = np.linalg.norm(nominal - small_study.truth[others], axis=1)
@@ -162,7 +146,7 @@ def test_errors_before_are_those_of_the_nominal_robot(small_study: PaperStudy) -
     assert small_study.nominal_errors() == pytest.approx(expected, rel=1e-9)
 
 
-def test_rankings_tell_luck_from_difference() -> None:
+def test_rankings_tell_luck_from_difference():
     generator = np.random.default_rng(3)
     common = generator.normal(1.0, 0.5, 50)
     errors = np.stack([common + 0.3, common, common + 1e-6 * generator.normal(size=50)], axis=1)
@@ -180,7 +164,7 @@ def test_rankings_tell_luck_from_difference() -> None:
     assert np.isnan(single.steps).all()
 
 
-def test_sets_that_are_like_their_neighbours_may_still_differ() -> None:
+def test_sets_that_are_like_their_neighbours_may_still_differ():
     """Each is within luck of the next, the first surely better than the last: being alike is not transitive."""
     draws = np.random.default_rng(5).normal(size=(60, 3))
     draws = (draws - draws.mean(axis=0)) / draws.std(axis=0, ddof=1)  # exactly these means and deviations
@@ -194,7 +178,7 @@ def test_sets_that_are_like_their_neighbours_may_still_differ() -> None:
     )
 
 
-def test_every_pair_is_tested_with_holms_correction() -> None:
+def test_every_pair_is_tested_with_holms_correction():
     """Against scipy's paired test and the correction written out."""
     errors = np.random.default_rng(11).normal(size=(30, 5)) * 0.5 + np.array([0.0, 0.2, 0.35, 0.5, 0.6])
     names = tuple("abcde")
@@ -212,7 +196,7 @@ def test_every_pair_is_tested_with_holms_correction() -> None:
     assert 0 < len(result) < len(pairs)
 
 
-def test_a_long_list_of_worse_sets_is_named_by_its_first() -> None:
+def test_a_long_list_of_worse_sets_is_named_by_its_first():
     noise = np.random.default_rng(2).normal(size=(40, 5)) * 1e-3
     ranking = rank(tuple("abcde"), noise + np.array([0.0, 0.0, 1.0, 2.0, 3.0]))
     assert "than c and all after it" in ranking.sure_differences()
@@ -221,16 +205,16 @@ def test_a_long_list_of_worse_sets_is_named_by_its_first() -> None:
     assert rows["mean error: c"][2:] == ("worse", "worse", "", "better", "better")
 
 
-def test_agreement_is_one_for_the_same_order_and_minus_one_for_the_reverse() -> None:
+def test_agreement_is_one_for_the_same_order_and_minus_one_for_the_reverse():
     assert agreement({"a": 1, "b": 2, "c": 3}, {"a": 10, "b": 20, "c": 30, "d": 0}) == pytest.approx(1.0)
     assert agreement({"a": 1, "b": 2, "c": 3}, {"a": 3, "b": 2, "c": 1}) == pytest.approx(-1.0)
 
 
-def test_summary_is_mean_max_std_and_rms() -> None:
+def test_summary_is_mean_max_std_and_rms():
     assert summary(np.array([1.0, 2.0, 6.0])) == pytest.approx((3.0, 6.0, np.sqrt(7.0), np.sqrt(41 / 3)))
 
 
-def test_tables_keep_all_digits_in_files_and_leave_unknown_cells_empty() -> None:
+def test_tables_keep_all_digits_in_files_and_leave_unknown_cells_empty():
     table = ResultTable(
         "t", "title", (TableColumn("name", ("a", "b")), TableColumn("x [mm]", (1 / 3, None), 2)), ("note",)
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from medrue.closed_form import ACTUATED_JOINTS, Array, five_bar, forward, name_parameters, singularity_sines
+from medrue.closed_form import ACTUATED_JOINTS, five_bar, forward, name_parameters, singularity_sines
 from medrue.closed_form_inverse import inverse
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import HOME, target_workspace
@@ -11,7 +11,7 @@ from medrue.workspace import HOME, target_workspace
 STROKE = 0.7
 
 
-def identification_jacobian() -> Array:
+def identification_jacobian():
     """d p_world_tool / d parameters at nominal, central differences of fourth order, `(1260, 36)`."""
     q, nominal, step = target_workspace().q, table1().nominal, 1e-4
     columns = []
@@ -22,13 +22,13 @@ def identification_jacobian() -> Array:
     return np.stack(columns, axis=1)
 
 
-def scaled(J: Array) -> Array:
+def scaled(J):
     """Columns of unit length; columns that are zero but for rounding stay zero."""
     norms = np.linalg.norm(J, axis=0)
     return J / np.where(norms < 1e-8, np.inf, norms)
 
 
-def test_positions_lie_on_the_half_cylinder() -> None:
+def test_positions_lie_on_the_half_cylinder():
     workspace = target_workspace()
     offset = workspace.T_world_tool[:, :3, 3] - workspace.p_axis
     along = offset @ workspace.axis
@@ -40,7 +40,7 @@ def test_positions_lie_on_the_half_cylinder() -> None:
     assert (radial @ workspace.middle > 0.0).all()
 
 
-def test_positions_are_spread_uniformly() -> None:
+def test_positions_are_spread_uniformly():
     """Each cell of a 15 by 28 division of the surface holds one position."""
     workspace = target_workspace()
     offset = workspace.T_world_tool[:, :3, 3] - workspace.p_axis
@@ -49,7 +49,7 @@ def test_positions_are_spread_uniformly() -> None:
     assert len(cells) == 420
 
 
-def test_the_probe_points_at_the_axis() -> None:
+def test_the_probe_points_at_the_axis():
     """The line from the tool along z_6 meets the leg's axis ahead of the tool."""
     workspace = target_workspace()
     p, z = workspace.T_world_tool[:, :3, 3] - workspace.p_axis, workspace.T_world_tool[:, :3, 2]
@@ -59,24 +59,24 @@ def test_the_probe_points_at_the_axis() -> None:
     assert ((across_p * across_z).sum(axis=1) < 0.0).all()
 
 
-def test_poses_are_rigid_and_the_joints_reach_them() -> None:
+def test_poses_are_rigid_and_the_joints_reach_them():
     workspace = target_workspace()
     R = workspace.T_world_tool[:, :3, :3]
     assert np.abs(R @ np.transpose(R, (0, 2, 1)) - np.eye(3)).max() < 1e-14
     assert np.abs(forward(workspace.q, table1().nominal).T_world_tool - workspace.T_world_tool).max() < 1e-13
 
 
-def test_q1_stays_inside_the_stroke() -> None:
+def test_q1_stays_inside_the_stroke():
     q1 = target_workspace().q[:, 0]
     assert q1.min() > 0.036
     assert q1.max() < 0.667
 
 
-def test_poses_keep_away_from_singular_ones() -> None:
+def test_poses_keep_away_from_singular_ones():
     assert singularity_sines(target_workspace().q, table1().nominal).min() > 0.64
 
 
-def test_links_stay_outside_the_leg() -> None:
+def test_links_stay_outside_the_leg():
     workspace = target_workspace()
     named = name_parameters(table1().nominal, 420)
     p = dict(zip(PARAMETERS, table1().nominal, strict=True))
@@ -89,7 +89,7 @@ def test_links_stay_outside_the_leg() -> None:
 
 
 @pytest.mark.quick(0)
-def test_poses_stay_reachable_with_parameter_errors() -> None:
+def test_poses_stay_reachable_with_parameter_errors():
     """300 robots within 2 mm and 1.5 degrees, half of them at corners: same modes, inside the stroke."""
     generator = np.random.default_rng(44)
     workspace, table = target_workspace(), table1()
@@ -108,20 +108,20 @@ def test_poses_stay_reachable_with_parameter_errors() -> None:
 
 
 @pytest.mark.parametrize("every", [1, 5])
-def test_positions_identify_28_of_36_parameters(every: int) -> None:
+def test_positions_identify_28_of_36_parameters(every):
     J = identification_jacobian().reshape(420, 3, 36)[::every].reshape(-1, 36)
     values = np.linalg.svd(scaled(J), compute_uv=False)
     assert values[27] / values[0] > 1e-3
     assert values[28] / values[0] < 1e-9  # rounding of the differences
 
 
-def test_the_papers_28_parameters_are_well_conditioned() -> None:
+def test_the_papers_28_parameters_are_well_conditioned():
     J = scaled(identification_jacobian())
     kept = [index for index, name in enumerate(PARAMETERS) if name not in table1().redundant]
     assert np.linalg.cond(J[:, kept]) < 1300.0
 
 
-def test_home_is_in_the_middle_of_the_workspace() -> None:
+def test_home_is_in_the_middle_of_the_workspace():
     workspace = target_workspace()
     q = np.array([[HOME[name] for name in ACTUATED_JOINTS]])
     tool = forward(q, table1().nominal).p_world_tool[0]
@@ -131,7 +131,7 @@ def test_home_is_in_the_middle_of_the_workspace() -> None:
     assert (q[0] < workspace.q.max(axis=0)).all()
 
 
-def test_the_workspace_is_the_same_every_time_and_read_only() -> None:
+def test_the_workspace_is_the_same_every_time_and_read_only():
     assert target_workspace() is target_workspace()
     assert not target_workspace().q.flags.writeable
     assert not target_workspace().T_world_tool.flags.writeable

@@ -6,16 +6,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from medrue.world_frame import rigid_fit
-from tests.core.numerics.test_placement import NESTS, Array, carried, some_pose
+from tests.core.numerics.test_placement import NESTS, carried, some_pose
 
 ROUNDING = 1e-14
 
 
-def some_points(generator: np.random.Generator, n: int) -> Array:
+def some_points(generator, n):
     return generator.uniform(-1, 1, (n, 3))
 
 
-def test_exact_points_give_back_the_transform() -> None:
+def test_exact_points_give_back_the_transform():
     generator = np.random.default_rng(1)
     for n in (3, 4, 30):
         truth, points = some_pose(generator), some_points(generator, n)
@@ -26,7 +26,7 @@ def test_exact_points_give_back_the_transform() -> None:
         assert np.abs(fit.apply(points) - carried(truth, points)).max() < 10 * ROUNDING
 
 
-def test_noisy_points_give_the_same_rotation_as_scipy() -> None:
+def test_noisy_points_give_the_same_rotation_as_scipy():
     generator = np.random.default_rng(2)
     points = some_points(generator, 12)
     seen = carried(some_pose(generator), points) + generator.normal(0, 0.05, points.shape)
@@ -34,7 +34,7 @@ def test_noisy_points_give_the_same_rotation_as_scipy() -> None:
     assert np.abs(rigid_fit(points, seen).rotation - expected).max() < 1e-12
 
 
-def test_flat_and_mirrored_points_still_give_a_proper_rotation() -> None:
+def test_flat_and_mirrored_points_still_give_a_proper_rotation():
     generator = np.random.default_rng(3)
     points = some_points(generator, 8)
     flat = points * (1, 1, 0)
@@ -43,7 +43,7 @@ def test_flat_and_mirrored_points_still_give_a_proper_rotation() -> None:
 
 
 @pytest.mark.quick(0)
-def test_covariance_agrees_with_the_scatter_over_draws() -> None:
+def test_covariance_agrees_with_the_scatter_over_draws():
     generator = np.random.default_rng(4)
     truth, sigma = some_pose(generator), 1e-4
     predicted = rigid_fit(NESTS, carried(truth, NESTS), sigma).covariance
@@ -57,14 +57,14 @@ def test_covariance_agrees_with_the_scatter_over_draws() -> None:
 
 
 @pytest.mark.quick(0)
-def test_noise_is_estimated_with_the_right_degrees_of_freedom() -> None:
+def test_noise_is_estimated_with_the_right_degrees_of_freedom():
     generator = np.random.default_rng(5)
     squares = [rigid_fit(NESTS, NESTS + generator.normal(0, 1e-4, NESTS.shape)).sigma ** 2 for _ in range(500)]
     assert abs(np.mean(squares) / 1e-8 - 1) < 4 * np.sqrt(2 / 3 / 500)  # chi-square with 3 degrees of freedom
 
 
 @pytest.mark.quick(0)
-def test_point_covariance_is_the_scatter_of_the_carried_point() -> None:
+def test_point_covariance_is_the_scatter_of_the_carried_point():
     generator = np.random.default_rng(6)
     far, sigma = np.array([2.0, -1.0, 0.5]), 1e-4
     predicted = rigid_fit(NESTS, NESTS, sigma).point_covariance(far[None])[0]
@@ -74,7 +74,7 @@ def test_point_covariance_is_the_scatter_of_the_carried_point() -> None:
 
 
 @pytest.mark.parametrize("sigma", [1e-4, None])
-def test_outliers_are_found_without_their_neighbours(sigma: float | None) -> None:
+def test_outliers_are_found_without_their_neighbours(sigma):
     generator = np.random.default_rng(7)
     points = some_points(generator, 9)
     seen = carried(some_pose(generator), points) + generator.normal(0, 1e-4, points.shape)
@@ -85,7 +85,7 @@ def test_outliers_are_found_without_their_neighbours(sigma: float | None) -> Non
 
 
 @pytest.mark.quick(0)
-def test_clean_points_are_seldom_called_outliers() -> None:
+def test_clean_points_are_seldom_called_outliers():
     generator = np.random.default_rng(8)
     points = some_points(generator, 5)
     calls = [len(rigid_fit(points, points + generator.normal(0, 1e-4, points.shape)).outliers) > 0 for _ in range(500)]

@@ -39,15 +39,6 @@ def test_task_index_is_root_mean_square_and_largest():
     assert (result.maximum, result.worst_pose) == (4.0, 1)
 
 
-def test_medrue_is_determined_by_28_of_36(assessment):
-    assert (assessment.rank_all.rank, assessment.rank_all.n_columns) == (28, 36)
-    assert (assessment.rank_free.rank, assessment.rank_free.n_columns) == (28, 28)
-    assert assessment.undetermined_groups == ()
-    assert len(assessment.groups) == 8
-    assert (assessment.n_poses, assessment.n_rows) == (140, 420)
-    assert not assessment.sigma_assumed
-
-
 def test_observability_on_scaled_and_on_raw_columns(medrue, assessment):
     jacobian = linearise(medrue, medrue.assemble(Q[::3])).jacobian[..., medrue.is_free]
     free = [p for p, use in zip(medrue.parameters, medrue.is_free, strict=True) if use]

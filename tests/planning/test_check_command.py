@@ -10,19 +10,11 @@ import calib
 from calib.core.data.table_writing import format_table
 from medrue import robot_file
 from medrue.workspace import target_workspace
+from tests.planning.poses_written import write_poses
 from tests.small_robots import ARM_YAML, write_arm
 
 ROBOT = robot_file()
 Q = target_workspace().q
-
-
-def write_poses(path, q, extra=(), names=None):
-    """Joint values in mm and deg, and further columns."""
-    columns = [] if names is None else [("pose", names)]
-    columns += [("q1 [mm]", list(1e3 * q[:, 0]))]
-    columns += [(f"q{k} [deg]", list(np.degrees(q[:, k - 1]))) for k in range(2, 7)]
-    path.write_text(format_table([*columns, *extra]))
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +105,7 @@ def test_repeats_of_a_measured_pose_count_as_readings(run_calib, tmp_path):
     names = [str(k // 3) for k in range(90)]
     q = np.repeat(Q[::14], 3, axis=0)
     zeros = [(f"tool_{axis} [mm]", [0.0] * 90) for axis in "xyz"]
-    thrice = run_calib("check", ROBOT, write_poses(tmp_path / "a.csv", q, zeros, names), "--json", "-")
+    thrice = run_calib("check", ROBOT, write_poses(tmp_path / "a.csv", q, names, zeros), "--json", "-")
     once = run_calib("check", ROBOT, write_poses(tmp_path / "b.csv", Q[::14]), "--json", "-")
     few, many = json.loads(once.out), json.loads(thrice.out)
     assert few["n_poses"] == many["n_poses"] == 30
@@ -123,7 +115,7 @@ def test_repeats_of_a_measured_pose_count_as_readings(run_calib, tmp_path):
 def test_a_repeat_that_was_not_read_leaves_the_file_measurements(run_calib, tmp_path):
     names = [str(k // 2) for k in range(60)]
     cells = [(f"tool_{axis} [mm]", [""] + [0.0] * 59) for axis in "xyz"]
-    data = write_poses(tmp_path / "a.csv", np.repeat(Q[::14], 2, axis=0), cells, names)
+    data = write_poses(tmp_path / "a.csv", np.repeat(Q[::14], 2, axis=0), names, cells)
     run = run_calib("check", ROBOT, data, "--json", "-")
     assert run.code == 0, run.err
     assert json.loads(run.out)["n_rows"] == 3 * 59
@@ -131,7 +123,7 @@ def test_a_repeat_that_was_not_read_leaves_the_file_measurements(run_calib, tmp_
 
 def test_a_file_that_waits_for_its_measurements_is_poses_only(run_calib, tmp_path):
     blank = [(f"tool_{axis} [mm]", [""] * 21) for axis in "xyz"]
-    run = run_calib("check", ROBOT, write_poses(tmp_path / "poses.csv", Q[::20], blank), "--json", "-")
+    run = run_calib("check", ROBOT, write_poses(tmp_path / "poses.csv", Q[::20], more=blank), "--json", "-")
     assert run.code == 0, run.err
     assert json.loads(run.out)["n_poses"] == 21
 

@@ -11,20 +11,11 @@ from calib.core.data.table_writing import format_table
 from calib.core.data.tables import read_table
 from medrue import robot_file
 from medrue.workspace import target_workspace
+from tests.planning.poses_written import write_poses
 from tests.small_robots import write_arm
 
 ROBOT = robot_file()
 Q = target_workspace().q
-
-
-def columns_of(q):
-    return [("q1 [mm]", list(1e3 * q[:, 0]))] + [(f"q{k} [deg]", list(np.degrees(q[:, k - 1]))) for k in range(2, 7)]
-
-
-def write_poses(path, q, names=None, more=()):
-    columns = columns_of(q) if names is None else [("pose", names), *columns_of(q)]
-    path.write_text(format_table([*columns, *more]))
-    return path
 
 
 @pytest.fixture(scope="module")

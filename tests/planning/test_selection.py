@@ -7,7 +7,7 @@ import pytest
 
 import calib
 from calib.core.base.errors import InputError
-from calib.core.data.measurements import Poses
+from calib.core.data.in_memory import as_poses
 from calib.core.numerics.observability import observability
 from calib.core.robots.jacobian import linearise
 from calib.planning.instrument_choice import groups_of, pairs_of
@@ -30,11 +30,6 @@ def singular_values(robot, q):
     jacobian = linearise(robot, robot.assemble(q)).jacobian * [p.sigma_si for p in robot.parameters]
     rows = jacobian[..., robot.is_free]
     return np.linalg.svd(rows.reshape(-1, rows.shape[-1]), compute_uv=False)
-
-
-def as_poses(q):
-    names = tuple(str(k) for k in range(len(q)))
-    return Poses(np.array(q), names, names, "poses", ())
 
 
 def test_84_of_420_are_certified_to_a_thousandth(by_o1):
@@ -170,7 +165,7 @@ def test_a_robot_with_priors_is_chosen_for_on_the_stacked_rows(tmp_path):
     arm = small_arm(tmp_path)
     q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (60, 3))
     selection = select(arm, q, 10, "O1", sigma=1e-4)
-    rows = 1e-4 * build_candidates(arm, as_poses(selection.joints), 1e-4).pose_rows.rows  # whitened by 0.1 mm
+    rows = 1e-4 * build_candidates(arm, as_poses(arm, selection.joints), 1e-4).pose_rows.rows  # whitened by 0.1 mm
     # every parameter has a prior, so what the poses do not see is what it was, and the rest is seen and held
     values = np.linalg.svd(rows.reshape(-1, rows.shape[2]), compute_uv=False)[: selection.rank_of_poses.rank]
     stacked = observability(np.sqrt(values**2 + 1e-4**2), 10)
@@ -230,7 +225,7 @@ def test_candidates_that_do_not_fit_into_memory_go_through_a_file(medrue, monkey
     inside = select(medrue, Q, 40, index)
     monkeypatch.setattr("calib.core.base.memory.free_memory", lambda: 1e5)
     monkeypatch.setattr("calib.planning.selection_problem._PART", 50)
-    rows = build_candidates(medrue, as_poses(Q)).pose_rows
+    rows = build_candidates(medrue, as_poses(medrue, Q)).pose_rows
     assert np.shares_memory(pairs_of(groups_of(medrue, "all", 40), rows).rows, rows.rows)  # no copy in memory either
     outside = select(medrue, Q, 40, index)
     assert outside.after[index] == pytest.approx(inside.after[index], rel=1e-9)

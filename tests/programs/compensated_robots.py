@@ -184,6 +184,10 @@ class Trial:
         return known if verdict else replace(known, nothing_to_correct=False)
 
 
+def rms(distances):
+    return float(np.sqrt(np.mean(np.square(distances))))
+
+
 def lengths(off):
     return np.linalg.norm(off, axis=-1)
 
@@ -294,7 +298,7 @@ def of_plan(trial, rng):
             trial.fit, as_measurements(nominal, q, measured if measured.shape[1] > 1 else measured[:, 0])
         )
         off = np.concatenate(list(acceptance.errors.after.values()))
-        return acceptance.verdict, float(np.sqrt(np.mean(lengths(off) ** 2))) / acceptance.expected_rms
+        return acceptance.verdict, rms(lengths(off)) / acceptance.expected_rms
 
     agrees, ratio = verdict(trial.truth)
     if not changes:
@@ -318,9 +322,9 @@ OF_THREE_AXES = ("G-code", "grid")
 def row(cells):
     """A row of the table from the errors of all seeds: root mean squares, that of ratios, and rows beyond the limit."""
     after, promised, high, before, fixed = (np.concatenate(part) for part in zip(*cells, strict=True))
-    size = [1e3 * np.sqrt(np.mean(part**2)) for part in (before, after, promised, fixed)]
+    size = [1e3 * rms(part) for part in (before, after, promised, fixed)]
     beyond = np.mean(after > high) if np.all(np.isfinite(high)) else np.nan
-    numbers = (*size[:3], np.sqrt(np.mean((after / promised) ** 2)), 100 * beyond, size[3])
+    numbers = (*size[:3], rms(after / promised), 100 * beyond, size[3])
     return " | ".join(
         "" if np.isnan(x) else f"{x:.4f}" if k not in (3, 4) else f"{x:.2f}" for k, x in enumerate(numbers)
     )
@@ -363,7 +367,7 @@ def of_make(name, nominal, places, errors, seeds):
     terms_found = [named for named in terms_found if named is not None]
     return (
         f"| {name} | {places} | {'as expected' if errors else 'none'} | {kept} of {len(seen)} | {sum(agree)} of"
-        f" {len(seen)} | {np.sqrt(np.mean(np.square(ratios))):.2f} | {sum(terms_found)} of {len(terms_found)} |"
+        f" {len(seen)} | {rms(ratios):.2f} | {sum(terms_found)} of {len(terms_found)} |"
     )
 
 

@@ -5,35 +5,31 @@ kinematics, starting from the joints that the pose is known to be near to, and t
 """
 
 import contextlib
+from types import MappingProxyType
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.programs import programs_run as controllers
+from tests.programs.programs_made import fanuc_position
 from tests.six_axis_arm import _JOINTS
 
 NUMBER = r"-?\d+\.?\d*(?:[eE][-+]?\d+)?"
 
 
-def transform(rotation, xyz):
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = rotation.as_matrix(), xyz
-    return T
-
-
 NOMINAL = [
-    (transform(Rotation.identity(), np.array(xyz.split(), float)), np.array(axis.split(), float))
+    (controllers.pose(np.array(xyz.split(), float), Rotation.identity()), np.array(axis.split(), float))
     for _, axis, xyz in _JOINTS
 ]
-TOOL = transform(Rotation.from_euler("ZYX", [30, 20, -10], degrees=True), [0.04, -0.02, 0.15])
-FRAME = transform(Rotation.from_euler("ZYX", [-15, 5, 3], degrees=True), [0.35, -0.1, 0.25])
+TOOL = controllers.pose([0.04, -0.02, 0.15], Rotation.from_euler("ZYX", [30, 20, -10], degrees=True))
+FRAME = controllers.pose([0.35, -0.1, 0.25], Rotation.from_euler("ZYX", [-15, 5, 3], degrees=True))
 
 
 def flange(q, links=NOMINAL):
     """T_base_flange by hand."""
     T = np.eye(4)
     for (origin, axis), angle in zip(links, q, strict=True):
-        T = T @ origin @ transform(Rotation.from_rotvec(angle * axis), np.zeros(3))
+        T = T @ origin @ controllers.pose(np.zeros(3), Rotation.from_rotvec(angle * axis))
     return T
 
 
@@ -185,17 +181,9 @@ def fanuc(q):
         motion.append(f"L P[{2 * k + 1}:point {k}] 100mm/sec FINE    ;")
         motion.append(f"J P[{2 * k + 2}] 50% CNT50    ;")
         T = tip(row)
-        w, p, r = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
-        x, y, z = 1e3 * T[:3, 3]
+        turns = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
         flip = "F" if row[4] < 0 else "N"
-        places += [
-            f'P[{2 * k + 1}:"point {k}"]{{',
-            "   GP1:",
-            f"\tUF : 1, UT : 2,\t\tCONFIG : '{flip} U T, 0, 0, 0',",
-            f"\tX = {x:9.3f}  mm,\tY = {y:9.3f}  mm,\tZ = {z:9.3f}  mm,",
-            f"\tW = {w:9.3f} deg,\tP = {p:9.3f} deg,\tR = {r:9.3f} deg",
-            "};",
-        ]
+        places += fanuc_position(f'{2 * k + 1}:"point {k}"', 1e3 * T[:3, 3], turns, flip)
         v = np.degrees(row)
         v[2] -= v[1]
         shown = [f"J{j}= {angle:9.3f} deg" for j, angle in enumerate(v, 1)]
@@ -232,10 +220,10 @@ def run(language, texts, q):
     return np.array(went), rows
 
 
-def frames_table():
-    lines = ["name,x [mm],y [mm],z [mm],rx [deg],ry [deg],rz [deg]"]
-    for name, T in (("UFRAME[1]", FRAME), ("UTOOL[2]", TOOL)):
-        x, y, z = 1e3 * T[:3, 3]
-        rx, ry, rz = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
-        lines.append(f"{name},{x!r},{y!r},{z!r},{rx!r},{ry!r},{rz!r}".replace("np.float64(", "").replace(")", ""))
-    return "\n".join(lines) + "\n"
+def frames_table(frames=MappingProxyType({"UFRAME[1]": FRAME, "UTOOL[2]": TOOL})):
+    """Frames by name as the file that FANUC's programs need."""
+    rows = ["name,x,y,z,rx,ry,rz"]
+    for name, T in frames.items():
+        numbers = (*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_euler("xyz"))
+        rows.append(f"{name}," + ",".join(f"{v:.17g}" for v in numbers))
+    return "\n".join(rows) + "\n"

@@ -94,6 +94,29 @@ class Machine:
                 end[k] = self.home[k]
         self.go(end)
 
+    def set_zero(self, words, *, every=True):
+        """G92: numbers of where it stands; without any, all axes are zero there, if `every`."""
+        every = every and not words
+        for k, axis in enumerate(AXES):
+            if axis in words or every:
+                self.zero[k] = self.at[k] - words.get(axis, 0.0) * self.unit
+        if "E" in words or every:
+            self.e_zero = self.e_at - words.get("E", 0.0) * self.unit
+
+    def other(self, name, words):
+        """What firmwares of printers do alike."""
+        if name in ("M82", "M83"):
+            self.e_relative = name == "M83"
+        elif name in ("G20", "G21"):
+            self.unit = 25.4 if name == "G20" else 1.0
+        elif name[0] == "T" and name == self.tool:
+            pass
+        elif name[0] == "T" or name in self.macros:
+            self.tool = name if name[0] == "T" else self.tool
+            self.call(name)
+        else:
+            self.others.append((name, tuple(sorted(words.items()))))
+
     def run(self, text):
         for line in text.split("\n"):
             if not self.halted:
@@ -135,11 +158,7 @@ class Klipper(Machine):
         elif name in ("M82", "M83"):
             self.e_relative = name == "M83"
         elif name == "G92":
-            for k, axis in enumerate(AXES):
-                if axis in tight or not tight:
-                    self.zero[k] = self.at[k] - tight.get(axis, 0.0)
-            if "E" in tight or not tight:
-                self.e_zero = self.e_at - tight.get("E", 0.0)
+            self.set_zero(tight)
         elif name == "G28":
             named = {axis for axis in AXES if axis in given} or {*AXES}
             self.home_axes(named)
@@ -205,16 +224,8 @@ class Marlin(Machine):
             self.line({k: words[k] for k in words if k in "XYZEF"}, self.e_relative)
         elif name in ("G90", "G91"):
             self.relative = self.e_relative = name == "G91"
-        elif name in ("M82", "M83"):
-            self.e_relative = name == "M83"
-        elif name in ("G20", "G21"):
-            self.unit = 25.4 if name == "G20" else 1.0
         elif name == "G92":
-            for k, axis in enumerate(AXES):
-                if axis in words:
-                    self.zero[k] = self.at[k] - words[axis] * self.unit
-            if "E" in words:
-                self.e_zero = self.e_at - words["E"] * self.unit
+            self.set_zero(words, every=False)
         elif name == "G28":
             if "O" not in flags:
                 named = {axis for axis in AXES if axis in flags} or {*AXES}
@@ -237,14 +248,8 @@ class Marlin(Machine):
             self.zero = self.zero + np.array([0.0, 0.0, int(name[1:]) - 50.0])
         elif name in ("M92", "M665", "M666", "M852", "M218"):
             self.geometry += 1
-        elif match[1] == "T":
-            if name != self.tool:
-                self.tool = name
-                self.call(name)
-        elif name in self.macros:
-            self.call(name)
         else:
-            self.others.append((name, tuple(sorted(words.items()))))
+            self.other(name, words)
 
 
 class RepRapFirmware(Machine):
@@ -273,21 +278,13 @@ class RepRapFirmware(Machine):
             self.line({k: words[k] for k in words if k in "XYZEF"}, self.e_relative)
         elif name in ("G90", "G91"):
             self.relative = name == "G91"
-        elif name in ("M82", "M83"):
-            self.e_relative = name == "M83"
-        elif name in ("G20", "G21"):
-            self.unit = 25.4 if name == "G20" else 1.0
         elif name == "M120":
             self.stack.append((self.relative, self.e_relative, self.unit, self.feed))
         elif name == "M121":
             if self.stack:
                 self.relative, self.e_relative, self.unit, self.feed = self.stack.pop()
         elif name == "G92":
-            for k, axis in enumerate(AXES):
-                if axis in words or not words:
-                    self.zero[k] = self.at[k] - words.get(axis, 0.0) * self.unit
-            if "E" in words:
-                self.e_zero = self.e_at - words["E"] * self.unit
+            self.set_zero(words)
         elif name == "G28":
             self.home_axes({axis for axis in AXES if axis in words} or {*AXES})
         elif name == "G29":
@@ -303,14 +300,8 @@ class RepRapFirmware(Machine):
             self.zero = self.zero + np.array([1.0, 2.0, 3.0])
         elif name in ("M92", "M556", "M579", "M665", "M666", "M669"):
             self.geometry += 1
-        elif name[0] == "T":
-            if name != self.tool:
-                self.tool = name
-                self.call(name)
-        elif name in self.macros:
-            self.call(name)
         else:
-            self.others.append((name, tuple(sorted(words.items()))))
+            self.other(name, words)
 
 
 class Cnc(Machine):
@@ -350,9 +341,7 @@ class Cnc(Machine):
             elif code[0] == "M":
                 self.others.append(code)
         if "G92" in codes:
-            for k, axis in enumerate(AXES):
-                if axis in given:
-                    self.zero[k] = self.at[k] - given[axis] * self.unit
+            self.set_zero({axis: given[axis] for axis in AXES if axis in given}, every=False)
         elif "G28" in codes or "G30" in codes:
             named = [axis for axis in AXES if axis in given] or [*AXES]
             end = self.at.copy()

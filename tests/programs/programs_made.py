@@ -433,6 +433,19 @@ class KrlMaker(_Maker):
 # ---------------------------------------------------------------- FANUC
 
 
+def fanuc_position(name, xyz, turns, flip="N"):
+    """Lines of a position [mm, deg]."""
+    (x, y, z), (w, p, r) = xyz, turns
+    return [
+        f"P[{name}]{{",
+        "   GP1:",
+        f"\tUF : 1, UT : 2,\t\tCONFIG : '{flip} U T, 0, 0, 0',",
+        f"\tX = {x:9.3f}  mm,\tY = {y:9.3f}  mm,\tZ = {z:9.3f}  mm,",
+        f"\tW = {w:9.3f} deg,\tP = {p:9.3f} deg,\tR = {r:9.3f} deg",
+        "};",
+    ]
+
+
 class FanucMaker(_Maker):
     KINDS = ("move", "move", "move", "register", "branch", "compact", "select", "jump", "talk", "copy")
 
@@ -446,16 +459,8 @@ class FanucMaker(_Maker):
         ]
         text.append("/POS")
         for k in range(1, 5):
-            x, y, z = self.xyz()
-            w, p, r = np.degrees(self.angles())
-            text += [
-                f"P[{k}{self.one('', f':{chr(34)}P 1 = 5;{chr(34)}')}]{{",
-                "   GP1:",
-                "\tUF : 1, UT : 2,\t\tCONFIG : 'N U T, 0, 0, 0',",
-                f"\tX = {x:9.3f}  mm,\tY = {y:9.3f}  mm,\tZ = {z:9.3f}  mm,",
-                f"\tW = {w:9.3f} deg,\tP = {p:9.3f} deg,\tR = {r:9.3f} deg",
-                "};",
-            ]
+            xyz, turns = self.xyz(), np.degrees(self.angles())
+            text += fanuc_position(f"{k}{self.one('', f':{chr(34)}P 1 = 5;{chr(34)}')}", xyz, turns)
         shown = ",\t".join(f"J{j}= {v:9.3f} deg" for j, v in enumerate(self.rng.uniform(-60, 60, 6), 1))
         return "\n".join([*text, "P[5]{", "   GP1:", "\tUF : 1, UT : 2,", "\t" + shown, "};", "/END", ""])
 

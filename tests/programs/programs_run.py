@@ -90,11 +90,6 @@ def _as_pose(T):
     return _Pose([*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_rotvec()])
 
 
-class _ReturnError(Exception):
-    def __init__(self, value=None):
-        self.value = value
-
-
 class _BreakError(Exception):
     pass
 
@@ -185,8 +180,6 @@ class URScript(Controller):
     def _simple(self, line, text):
         if text == "break":
             raise _BreakError
-        if text.startswith("return"):
-            raise _ReturnError(self._value(text[6:] or "None", line))
         match = re.match(r"(global\s+|local\s+)?(\w+)\s*(\[(.*?)\])?\s*=(?!=)(.*)", text)
         if not match:
             self._value(text, line)
@@ -205,12 +198,8 @@ class URScript(Controller):
     def _call(self, name, *given):
         names, body = self.functions[name]
         self.scopes.append(dict(zip(names, copied(list(given)), strict=True)))
-        try:
-            self._do(body)
-        except _ReturnError as back:
-            return back.value
-        finally:
-            self.scopes.pop()
+        self._do(body)
+        self.scopes.pop()
 
     def _value(self, text, line):
         def move(target, *more, **options):
@@ -240,7 +229,6 @@ class URScript(Controller):
             "textmsg": lambda *x: None,
             "sleep": lambda t: None,
             "set_digital_out": lambda k, v: None,
-            "get_actual_tcp_pose": lambda: _Pose([0.4, 0.1, 0.3, 0, 0, 0]),
         }
         names |= {name: lambda *x, name=name: self._call(name, *x) for name in self.functions}
         return value_of(text.strip(), {**names, **self.scopes[0], **self.scopes[-1]})
@@ -314,7 +302,7 @@ class Rapid(Controller):
 
     def run(self):
         self._module()
-        with contextlib.suppress(StopError, _ReturnError):
+        with contextlib.suppress(StopError):
             self._call("main", [])
         return self.moves
 
@@ -342,14 +330,12 @@ class Rapid(Controller):
             word = self._word()
             if word in ("local", "task"):
                 self._take(word)
-            elif word in ("proc", "func"):
+            elif word == "proc":
                 self._take(word)
-                if word == "func":
-                    self._take(r"\w+")
                 name = self._take(r"\w+")
                 inside = self._take(r"\([^)]*\)")[1:-1]
                 parameters = [x.split() for x in inside.split(",") if x.strip()]
-                self.routines[name] = (parameters, self._block("endproc", "endfunc"))
+                self.routines[name] = (parameters, self._block("endproc"))
                 self._take(r"\w+")
             else:
                 self._declare(self.data, self._take(r"[^;]*;")[:-1])
@@ -422,10 +408,7 @@ class Rapid(Controller):
         data = {}
         for parameter, value in zip(parameters, given, strict=True):
             data[parameter[-1]] = value if parameter[0] in ("inout", "pers", "var") else copied(value)
-        try:
-            self._do(body, data)
-        except _ReturnError as back:
-            return back.value
+        self._do(body, data)
 
     def _do(self, block, data):
         at = 0
@@ -469,8 +452,6 @@ class Rapid(Controller):
         word = re.match(r"\w+", text)[0]
         if word == "goto":
             raise _GotoError(text.split()[1])
-        if word == "return":
-            raise _ReturnError(self._value(text[6:], data) if text[6:].strip() else None)
         assigned = re.match(r"([\w.{}\s+-]+?)\s*:=(.*)", text, re.DOTALL)
         if assigned and not word.startswith("move"):
             self._assign(assigned[1].strip(), self._value(assigned[2], data), data)
@@ -482,7 +463,7 @@ class Rapid(Controller):
             self.displaced = np.eye(4)
         elif word in self.routines:
             self._call(word, [self._value(one, data) for one in _split(text[len(word) :])])
-        elif word in ("add", "mtooltcpcalib"):
+        elif word == "add":
             name, value = _split(text[len(word) :])[:2]
             self._assign(name, self._value(f"({name})+({value})", data), data)
         else:
@@ -646,8 +627,7 @@ class Krl(Controller):
             data[key.strip()] = copied(self._value(text, scope))
             if mode.strip() != "IN" and re.fullmatch(r"[$\w\[\].]+", text):
                 back.append((text, key.strip(), scope))
-        with contextlib.suppress(_ReturnError):
-            self._do(body, data)
+        self._do(body, data)
         for text, key, scope in back:
             self._assign(text, data[key], scope)
         self.depth -= 1
@@ -705,8 +685,6 @@ class Krl(Controller):
             raise _GotoError(text.split()[1])
         if text == "EXIT":
             raise _BreakError
-        if text == "RETURN":
-            raise _ReturnError
         if text.endswith(":") or text.startswith(("DECL", "WAIT", "HALT", "CONTINUE")):
             return
         call = re.match(r"(\w+)\s*\((.*)\)$", text)

@@ -20,10 +20,10 @@ from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
-from tests.programs.compensated_robots import TrueFrame, poses_of
+from tests.programs.compensated_robots import TrueFrame, angles, poses_of, rms
 from tests.project import EXAMPLES, write_table
 from tests.saved_results import with_verdict
-from tests.six_axis_arm import write_six_axis
+from tests.six_axis_arm import YAML, write_six_axis
 
 SCARA = """<robot name="scara"><link name="l0"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="hand"/>
 <joint name="a" type="revolute"><parent link="l0"/><child link="l1"/><origin xyz="0 0 0.3"/><axis xyz="0 0 1"/>
@@ -36,24 +36,10 @@ SCARA = """<robot name="scara"><link name="l0"/><link name="l1"/><link name="l2"
 <limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
 
 
-def rms(distances):
-    return float(np.sqrt(np.mean(np.square(distances))))
-
-
-def turned(rotations, others):
-    """Angles between rotations (n, 3, 3) [rad]."""
-    traces = np.trace(rotations.swapaxes(1, 2) @ others, axis1=1, axis2=2)
-    return np.arccos(np.clip((traces - 1) / 2, -1, 1))
-
-
 def six_axis(folder, extra=""):
-    yaml = (
-        "urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\nbase: {frame: l0}\n"
-        "targets:\n  ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}\nparametrisation:\n"
-        "  - {origin: all, components: [x, y, z], sigma: 1 mm}\n"
-        "  - {origin: all, components: [rx, ry, rz], sigma: 2 mrad}\n" + extra
-    )
-    return calib.load(write_six_axis(folder, yaml))
+    free = "  - {origin: all, components: [x, y, z], sigma: 1 mm}\n"
+    free += "  - {origin: all, components: [rx, ry, rz], sigma: 2 mrad}\n"
+    return calib.load(write_six_axis(folder, YAML + free + extra))
 
 
 def perturbed(robot, seed, share=1.0):
@@ -83,7 +69,7 @@ def test_medrue_runs_a_compensated_program_at_the_error_of_its_calibration():
     assert rms(error) < 1.1 * held_out  # 0.019 mm; other rows of the same workspace
     assert rms(before) > 500 * held_out
     assert rms(compensation.before) == pytest.approx(rms(before), rel=1e-3)
-    assert turned(did.R_world_tool, meant.R_world_tool).max() < 3e-3  # the reflector alone was measured
+    assert angles(did.R_world_tool, meant.R_world_tool).max() < 3e-3  # the reflector alone was measured
     assert rms(compensation.expected) == pytest.approx(rms(error), rel=1.0)
 
 
@@ -142,7 +128,7 @@ def test_an_arm_of_unknown_base_and_reflector_is_as_good_as_its_calibration(robo
     inside = np.mean((error > compensation.low95) & (error < compensation.high95))
     assert inside > 0.85  # one calibration: its errors are the same for all rows
     assert (
-        turned(turns[:, 0], expected[:, 0]).max() < 3 * compensation.expected_angle.max()
+        angles(turns[:, 0], expected[:, 0]).max() < 3 * compensation.expected_angle.max()
     )  # most of it about the flange's axis
     assert "the nominal robot's base frame" in compensation.frame
 
@@ -227,7 +213,7 @@ def test_a_scara_keeps_the_position_and_most_of_the_orientation(tmp_path):
     assert compensation.ok.all()
     meant, did, naive = frame.meant.forward(program), frame.robot.forward(compensation.q), frame.robot.forward(program)
     assert np.abs(did[:, :3, 3] - meant[:, :3, 3]).max() < 1e-9
-    after, before = (turned(T[:, :3, :3], meant[:, :3, :3]) for T in (did, naive))
+    after, before = (angles(T[:, :3, :3], meant[:, :3, :3]) for T in (did, naive))
     assert (after <= before + 1e-9).all()
     assert after.max() < 2.5e-3  # the tilt of 2 mrad that four joints cannot take out
 
@@ -351,17 +337,17 @@ def test_orientations_are_off_by_what_is_expected(tmp_path, keep):
         values[fit.unknowns.index] += root @ rng.standard_normal(len(root))
         did = nominal.with_parameters(values).forward(compensation.q)[:, :3, :3]
         cosine = np.sum(did[:, :, 2] * meant[:, :, 2], axis=1)
-        errors.append(turned(did, meant) if keep == "pose" else np.arccos(np.clip(cosine, -1, 1)))
+        errors.append(angles(did, meant) if keep == "pose" else np.arccos(np.clip(cosine, -1, 1)))
     errors = np.array(errors)
     assert np.sqrt(np.mean(errors**2, axis=0)) == pytest.approx(compensation.expected_angle, rel=0.15)  # of 300 draws
     inside = (errors > compensation.low95_angle) & (errors < compensation.high95_angle)
     assert np.mean(inside) == pytest.approx(0.96, abs=0.025)
-    really = turned(truth.forward(compensation.q)[:, :3, :3], meant)
+    really = angles(truth.forward(compensation.q)[:, :3, :3], meant)
     assert (
         keep != "pose" or really.max() < 3 * compensation.expected_angle.max() < 0.3 * compensation.before_angle.max()
     )
     assert compensation.before_angle == pytest.approx(
-        turned(fit.robot.forward(program)[:, :3, :3], meant) if keep == "pose" else compensation.before_angle, rel=1e-4
+        angles(fit.robot.forward(program)[:, :3, :3], meant) if keep == "pose" else compensation.before_angle, rel=1e-4
     )
 
 
@@ -416,8 +402,8 @@ def test_command_writes_a_program_with_marks_and_figures(tmp_path, calibrated):
     outcome = run(tmp_path, text, "--skip-unreachable", "--json", str(target), result=calibrated)
     assert outcome.exit_code == 0, outcome.output
     lines = (tmp_path / "out.csv").read_text().splitlines()
-    angles = "before_angle [mrad],expected_angle [mrad],low95_angle [mrad],high95_angle [mrad]"
-    assert lines[1].endswith(f"before [mm],expected [mm],low95 [mm],high95 [mm],{angles},status")
+    turns = "before_angle [mrad],expected_angle [mrad],low95_angle [mrad],high95_angle [mrad]"
+    assert lines[1].endswith(f"before [mm],expected [mm],low95 [mm],high95 [mm],{turns},status")
     assert lines[2].endswith(",ok")
     assert lines[3].startswith("B,,,,,,,")
     content = json.loads(target.read_text())

@@ -12,11 +12,7 @@ from calib.core.rows.frames import KnownRobot
 from calib.core.rows.prediction import ParameterUncertainty
 from calib.programs.reaching.correction_frames import measurement_frame, program_frame
 from tests.core.rows.test_common_motion import ELSEWHERE, arm
-from tests.programs.compensated_robots import FORMS, OF_THREE_AXES, Trial, described, lengths
-
-
-def rms(distances):
-    return float(np.sqrt(np.mean(np.square(distances))))
+from tests.programs.compensated_robots import FORMS, OF_THREE_AXES, Trial, described, lengths, rms
 
 
 def program(robot, n=20):

@@ -1,7 +1,5 @@
 """A table of corrections: right at its nodes, and its error between them is what a controller would have."""
 
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -31,17 +29,17 @@ parametrisation:
 """
 
 
-@pytest.fixture
-def gantry(tmp_path: Path) -> calib.Robot:
-    (tmp_path / "gantry.urdf").write_text(GANTRY)
-    (tmp_path / "gantry.yaml").write_text(YAML)
-    return calib.load(tmp_path / "gantry.yaml")
+def gantry(folder, more=""):
+    """Three slides whose squareness in the plane and scale along x are free, and more."""
+    (folder / "gantry.urdf").write_text(GANTRY)
+    (folder / "gantry.yaml").write_text(YAML + more)
+    return calib.load(folder / "gantry.yaml")
 
 
-def test_a_gantry_gets_the_corrections_of_its_scale_and_squareness(gantry: calib.Robot) -> None:
+def test_a_gantry_gets_the_corrections_of_its_scale_and_squareness(tmp_path):
     """It stands at 1.001 x - sin(a) y, cos(a) y, z; so it must be told ((x + tan(a) y) / 1.001, y / cos(a), z)."""
     a = 2e-3
-    robot = gantry.with_parameters({"y.rz": a, "x.gain": 1e-3})
+    robot = gantry(tmp_path).with_parameters({"y.rz": a, "x.gain": 1e-3})
     corners = calib.Goals(np.array([[-0.3, -0.2, 0.1], [0.5, 0.4, 0.1]]))
     grid = correction_grid(robot, corners, (3, 4, 1))
     x, y, z = grid.nodes.T
@@ -52,7 +50,7 @@ def test_a_gantry_gets_the_corrections_of_its_scale_and_squareness(gantry: calib
     assert not grid.turn.any()
 
 
-def test_an_arm_with_the_table_stands_where_the_table_says(tmp_path: Path) -> None:
+def test_an_arm_with_the_table_stands_where_the_table_says(tmp_path):
     free = "  - {origin: all, components: [x, y, z], sigma: 1 mm}\n"
     yaml = "urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\nbase: {frame: l0}\ntargets:\n"
     robot = calib.load(write_six_axis(tmp_path, f"{yaml}  ball: {{frame: l6}}\nparametrisation:\n{free}"))
@@ -86,12 +84,12 @@ def test_an_arm_with_the_table_stands_where_the_table_says(tmp_path: Path) -> No
         ([[0, 0, 0], [1.5, 0.5, 0.5]], (2, 2, 2), "of the grid cannot be reached"),
     ],
 )
-def test_what_makes_no_grid_is_refused(gantry: calib.Robot, positions, counts, message) -> None:
+def test_what_makes_no_grid_is_refused(tmp_path, positions, counts, message):
     with pytest.raises(calib.CalibrationError, match=message):
-        correction_grid(gantry, calib.Goals(np.array(positions, dtype=float)), counts)
+        correction_grid(gantry(tmp_path), calib.Goals(np.array(positions, dtype=float)), counts)
 
 
-def test_several_orientations_or_none_are_refused(tmp_path: Path) -> None:
+def test_several_orientations_or_none_are_refused(tmp_path):
     (tmp_path / "arm").mkdir()
     robot = calib.load(write_six_axis(tmp_path / "arm"))
     two = np.array([[0.5, -0.1, 0.6], [0.7, 0.1, 0.8]])

@@ -15,19 +15,11 @@ from calib.programs.commands.compensate import command
 from calib.programs.languages.gcode import read_gcode
 from calib.programs.languages.straight_moves import StraightMoves, compensate_moves
 from calib.starting.command import command as init
-from tests.programs.test_correction_grid import GANTRY
+from tests.programs.test_correction_grid import gantry
 from tests.project import EXAMPLES
 
-YAML = """urdf: gantry.urdf
-name_mot: [x, y, z]
-base: {frame: l0}
-targets: {nozzle: {frame: l3}}
-parametrisation:
-  - {origin: y, components: [rz], sigma: 5 mrad}
-  - {origin: z, components: [rx, ry], sigma: 5 mrad}
-  - {joint: x, term: gain, sigma: 2.0e-3}
-  - {joint: y, term: harmonics, period: 20 mm, orders: [1], sigma: 0.1 mm}
-"""
+SQUARE = "  - {origin: z, components: [rx, ry], sigma: 5 mrad}\n"
+SCREW = "  - {joint: y, term: harmonics, period: 20 mm, orders: [1], sigma: 0.1 mm}\n"
 PROGRAM = """; a printed part
 G28
 G90
@@ -48,12 +40,6 @@ G21
 G1 X-90 Y-60 Z5 ; back
 M104 S0"""
 ENDS = [(0, 0, 20), (-90, -60, 5), (95, 70, 5), (95, -50, 8), (6.1, -50, 8), (-90, -60, 5)]  # [mm], by hand
-
-
-def gantry(folder, yaml=YAML):
-    (folder / "gantry.urdf").write_text(GANTRY)
-    (folder / "gantry.yaml").write_text(yaml)
-    return calib.load(folder / "gantry.yaml")
 
 
 def told_points(text, start):
@@ -152,7 +138,7 @@ def test_a_delta_goes_straight_within_tolerance_and_calibration(delta, tmp_path)
 
 def test_a_gantry_with_the_error_of_a_screw_goes_straight(tmp_path):
     """In closed form: it stands at sums of skewed axes, with a gain along x and a wave of the screw along y."""
-    robot = gantry(tmp_path)
+    robot = gantry(tmp_path, SQUARE + SCREW)
     names = {p.name for p in robot.parameters}
     assert {"y.rz", "z.rx", "z.ry", "x.gain"} < names
     wave = sorted(name for name in names if name.startswith("y.") and name != "y.rz")
@@ -197,8 +183,7 @@ def test_a_reflector_and_a_tracker_elsewhere_move_no_point(delta):
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("gantry")
-    yaml = YAML.replace("  - {joint: y, term: harmonics, period: 20 mm, orders: [1], sigma: 0.1 mm}\n", "")
-    robot = gantry(folder, yaml)
+    robot = gantry(folder, SQUARE)
     truth = robot.with_parameters({"y.rz": 3e-3, "x.gain": 1e-3})
     rng = np.random.default_rng(0)
     q = rng.uniform(-0.5, 0.5, (30, 3))
@@ -310,8 +295,7 @@ def test_other_robots_and_too_sharp_bends_are_refused(tmp_path, delta):
     moves = StraightMoves(np.full((1, 3), np.nan), np.array([[0.5, 0, 0.5]]), ("line 1",))
     with pytest.raises(calib.DataError, match="has 6 motors; a program of X, Y and Z is for a machine of three"):
         compensate_moves(arm, moves, 1e-5)
-    wave = YAML.replace("period: 20 mm", "period: 0.04 mm")
-    robot = gantry(tmp_path, wave)
+    robot = gantry(tmp_path, SCREW.replace("period: 20 mm", "period: 0.04 mm"))
     names = sorted(p.name for p in robot.parameters if p.name.startswith("y.") and p.name != "y.rz")
     rough = robot.with_parameters({names[0]: 2e-6})
     moves = StraightMoves(np.array([[0, -0.01, 0]]), np.array([[0, 0.01, 0.0]]), ("line 1",))
@@ -339,56 +323,37 @@ def written(folder, text, dialect=None, start=(0.0, 0.0, 0.0), harmless=(), name
         return str(error)
 
 
+def before(move, why, *lines):
+    """Cases of lines that stand before a move."""
+    return [(f"{line}\n{move}", why) for line in lines]
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [
         # homing and probing: of one axis, by all spellings, and what homes perhaps
-        *(
-            (f"{homing}\nG1 Z50", LOST)
-            for homing in ("G28 Z", "G28 X0 Y0", "G28 XY", "g28 z", "N9 G028 Z ; up", "G28 O")
-        ),
-        *((f"{homing}\nG1 X5", LOST) for homing in ("G28 X", "G28 R5", "G29", "G29 P1", "M420 S1", "G91 G28 Z0\nG90")),
-        *((f"{probing}\nG1 X5 Y5 Z5", PERHAPS) for probing in ("G30", "G28.1", "G28.3 X5", "G30.1")),
+        *before("G1 Z50", LOST, "G28 Z", "G28 X0 Y0", "G28 XY", "g28 z", "N9 G028 Z ; up", "G28 O"),
+        *before("G1 X5", LOST, "G28 X", "G28 R5", "G29", "G29 P1", "M420 S1", "G91 G28 Z0\nG90"),
+        *before("G1 X5 Y5 Z5", PERHAPS, "G30", "G28.1", "G28.3 X5", "G30.1"),
         ("G28 Z (and X)\nG1 Z5", "'(and X)' is code for some firmwares"),
         # modes that are restored, by whom and from where is not known
         ("G91\nRESTORE_GCODE_STATE NAME=other\nG1 Y5", PERHAPS),
         ("SAVE_GCODE_STATE NAME=a\nPARK\nRESTORE_GCODE_STATE NAME=a\nG1 Y5", PERHAPS),
         ("SAVE_GCODE_STATE NAME=a\nRESTORE_GCODE_STATE NAME=a MOVE=1\nG1 Y5", LOST),
-        *((f"{word}\nG1 Y5", PERHAPS) for word in ("M120", "M121", "M72", "RESUME", "CANCEL_PRINT")),
+        *before("G1 Y5", PERHAPS, "M120", "M121", "M72", "RESUME", "CANCEL_PRINT"),
         # what X, Y and Z mean
-        *((f"{word}\nG1 Y5", CHANGED) for word in ("SET_GCODE_OFFSET Z=1", "set_gcode_offset Z_ADJUST=.1 MOVE=1")),
-        *(
-            (f"{word}\nG1 Y5", CHANGED)
-            for word in ("SET_KINEMATIC_POSITION Z=0", "SKEW_PROFILE LOAD=a", "SET_SKEW XY=1")
-        ),
-        *(
-            (f"{word}\nG1 Y5", CHANGED)
-            for word in ("M852 I.1", "M556 S100 X1", "M579 X1.01", "M428", "M666 X1", "M92 X8")
-        ),
-        *((f"{word}\nG1 Y5", PERHAPS) for word in ("M851 Z1", "M501", "M425 F1", "M605 S1", "FORCE_MOVE STEPPER=x")),
-        *(
-            (f"{word}\nG1 Y5", "is not read")
-            for word in ("G53", "G59.1", "G68 R9", "G51 X2", "G52 X3", "G90.1", "G92.1")
-        ),
+        *before("G1 Y5", CHANGED, "SET_GCODE_OFFSET Z=1", "set_gcode_offset Z_ADJUST=.1 MOVE=1"),
+        *before("G1 Y5", CHANGED, "SET_KINEMATIC_POSITION Z=0", "SKEW_PROFILE LOAD=a", "SET_SKEW XY=1"),
+        *before("G1 Y5", CHANGED, "M852 I.1", "M556 S100 X1", "M579 X1.01", "M428", "M666 X1", "M92 X8"),
+        *before("G1 Y5", PERHAPS, "M851 Z1", "M501", "M425 F1", "M605 S1", "FORCE_MOVE STEPPER=x"),
+        *before("G1 Y5", "is not read", "G53", "G59.1", "G68 R9", "G51 X2", "G52 X3", "G90.1", "G92.1"),
         # macros, tools, lines run elsewhere, again or perhaps
-        *(
-            (f"{word}\nG1 Y5", PERHAPS)
-            for word in ("PARK", "_clean A=1", "T1", "T0", "M6", "M600", "M701", "M1234", "XY5")
-        ),
-        *(
-            (f"{word}\nG1 Y5", "or lines again")
-            for word in ('M98 P"a.g"', "M99", "M808 L5", "M32 !a#", "SDCARD_LOOP_BEGIN")
-        ),
-        *((f"{word}\nG1 Y5", "not known here; write") for word in ("if x = 1", "while true", "  else", "elif{x}")[:3]),
-        *(
-            (f"{word}\nG1 Y5", "is not read")
-            for word in ("O100 CALL", "#1=5", "FOO=1", "@pause", "$H", "%G1 X5", "G12")
-        ),
+        *before("G1 Y5", PERHAPS, "PARK", "_clean A=1", "T1", "T0", "M6", "M600", "M701", "M1234", "XY5"),
+        *before("G1 Y5", "or lines again", 'M98 P"a.g"', "M99", "M808 L5", "M32 !a#", "SDCARD_LOOP_BEGIN"),
+        *before("G1 Y5", "not known here; write", "if x = 1", "while true", "  else"),
+        *before("G1 Y5", "is not read", "O100 CALL", "#1=5", "FOO=1", "@pause", "$H", "%G1 X5", "G12"),
         # lines that firmwares read differently
-        *(
-            (line + "\nG1 Y5", SEVERAL)
-            for line in ("G1 X5 G91", "G91 X5", "X5 M104 S1", "G1 X5 G4 P1", "M104 S1 G1 X5")
-        ),
+        *before("G1 Y5", SEVERAL, "G1 X5 G91", "G91 X5", "X5 M104 S1", "G1 X5 G4 P1", "M104 S1 G1 X5"),
         *((line, "take for an exponent") for line in ("G1 X1E1", "G1X10Y5E3", "G1 X1.e-1")),
         *((line, "is code for some firmwares") for line in ("G1 X5 (to Y7)", "G1 X5 (a ; b) Y7", "(box z) G28")),
         *((line, "does not belong") for line in ("G1 H2 X5", "G1 R1 X5", "G1 X5 P1", "G1 X5 T1")),

@@ -1,20 +1,16 @@
 """Inverse kinematics through loops: equal to the closed form, within limits, in home's mode, honest about misses."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from calib import UnreachablePoseError, compensate, load
 from calib.core.base.errors import DataError
 from calib.core.data.measurement_files import read_poses
 from calib.core.robots.closure import motion
-from calib.core.robots.robot import Robot
 from calib.programs.commands.solve import command
 from calib.programs.reaching.goals import Goals, read_goals
 from calib.programs.reaching.inverse import solve
@@ -25,7 +21,6 @@ from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from tests.small_robots import ARM_YAML, write_arm
 
-Array = NDArray[np.float64]
 ARM = """<robot name="arm"><link name="l0"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="hand"/>
 <joint name="a" type="revolute"><parent link="l0"/><child link="l1"/><origin xyz="0 0 0.3"/><axis xyz="0 0 1"/>
 <limit lower="-2.9" upper="2.9" effort="1" velocity="1"/></joint>
@@ -39,18 +34,18 @@ LOWER, UPPER = np.array([-2.9, -1.5, 0.1, 0.0]), np.array([2.9, 1.5, 2.5, 0.3])
 
 
 @pytest.fixture(scope="module")
-def medrue_robot() -> Robot:
+def medrue_robot():
     return load(robot_file())
 
 
 @pytest.fixture(scope="module")
-def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+def arm(tmp_path_factory):
     path = tmp_path_factory.mktemp("arm") / "arm.urdf"
     path.write_text(ARM)
     return load(path)
 
 
-def arm_position(q: Array) -> Array:
+def arm_position(q):
     """The hand of the arm by hand: out along the radius, up against the angles."""
     a, b, c, d = q
     out = 0.1 + 0.4 * np.cos(b) + (0.2 + d) * np.cos(b + c)
@@ -58,7 +53,7 @@ def arm_position(q: Array) -> Array:
 
 
 @pytest.mark.parametrize("values", [table1().nominal, table1().actual], ids=["nominal", "calibrated"])
-def test_full_poses_give_the_joints_of_the_closed_form(medrue_robot: Robot, values: Array) -> None:
+def test_full_poses_give_the_joints_of_the_closed_form(medrue_robot, values):
     T = target_workspace().T_world_tool
     solution = solve(medrue_robot.with_parameters(values), Goals(T[:, :3, 3], T[:, :3, :3]))
     assert solution.ok.all()
@@ -67,7 +62,7 @@ def test_full_poses_give_the_joints_of_the_closed_form(medrue_robot: Robot, valu
     assert solution.unreached_goals() == []
 
 
-def test_positions_and_axes_are_reached_in_home_s_assembly_mode(medrue_robot: Robot) -> None:
+def test_positions_and_axes_are_reached_in_home_s_assembly_mode(medrue_robot):
     T = target_workspace().T_world_tool[::10]
     for goals in (Goals(T[:, :3, 3]), Goals(T[:, :3, 3], directions=7 * T[:, :3, 2])):
         solution = solve(medrue_robot, goals)
@@ -79,7 +74,7 @@ def test_positions_and_axes_are_reached_in_home_s_assembly_mode(medrue_robot: Ro
             assert np.abs(reached.R_world_tool[:, :, 2] - T[:, :3, 2]).max() < 1e-11
 
 
-def test_jacobian_of_the_actuated_joints_agrees_with_differences_of_the_closed_form(medrue_robot: Robot) -> None:
+def test_jacobian_of_the_actuated_joints_agrees_with_differences_of_the_closed_form(medrue_robot):
     q = target_workspace().q[::60]
     passive = medrue_robot.assemble(q).passive
     target = medrue_robot.mechanism.targets[0]
@@ -97,7 +92,7 @@ def test_jacobian_of_the_actuated_joints_agrees_with_differences_of_the_closed_f
         assert np.abs(jacobian[:, 3:, j] - spin).max() < 1e-8
 
 
-def test_reachable_positions_of_an_arm_are_all_found_within_limits(arm: Robot) -> None:
+def test_reachable_positions_of_an_arm_are_all_found_within_limits(arm):
     q = np.random.default_rng(1).uniform(LOWER, UPPER, (200, 4))
     goals = np.array([arm_position(row) for row in q])
     solution = solve(arm, Goals(goals))
@@ -107,7 +102,7 @@ def test_reachable_positions_of_an_arm_are_all_found_within_limits(arm: Robot) -
     assert (solution.q <= UPPER).all()
 
 
-def test_redundant_joints_stay_nearest_to_where_they_are_wanted(arm: Robot) -> None:
+def test_redundant_joints_stay_nearest_to_where_they_are_wanted(arm):
     """Against a general constrained minimiser, from the same side."""
     near = np.array([0.3, 0.2, 0.9, 0.1])
     goal = arm_position(np.array([0.5, -0.2, 1.4, 0.2]))
@@ -123,7 +118,7 @@ def test_redundant_joints_stay_nearest_to_where_they_are_wanted(arm: Robot) -> N
     assert np.abs(result - best.x).max() < 1e-5
 
 
-def test_joints_are_nearest_through_loops_and_at_limits(medrue_robot: Robot) -> None:
+def test_joints_are_nearest_through_loops_and_at_limits(medrue_robot):
     """Against a general constrained minimiser of the closed form; near the end of the rail, which holds some."""
     robot, scale = medrue_robot, medrue_robot.mechanism.joint_scale
     near = robot.home.copy()
@@ -154,13 +149,13 @@ def test_joints_are_nearest_through_loops_and_at_limits(medrue_robot: Robot) -> 
     assert compared >= 3
 
 
-def test_whole_turns_are_taken_out(arm: Robot) -> None:
+def test_whole_turns_are_taken_out(arm):
     q = np.array([[2.8, 0.3, 0.8, 0.1]])
     positions = np.array([arm_position(row) for row in q])
     assert abs(solve(arm, Goals(positions), near=q).q[0, 0] - 2.8) < 1e-6
 
 
-def test_the_miss_of_a_far_goal_is_its_distance_from_the_workspace(arm: Robot) -> None:
+def test_the_miss_of_a_far_goal_is_its_distance_from_the_workspace(arm):
     """Straight ahead the arm reaches 0.1 + |0.4 + 0.5 turned by c = 0.1|, up and down by turning."""
     reach = np.hypot(0.4 + 0.5 * np.cos(0.1), 0.5 * np.sin(0.1))
     solution = solve(arm, Goals(np.array([[2.0, 0.0, 0.3], [0.6, 0.0, 0.3]])))
@@ -171,7 +166,7 @@ def test_the_miss_of_a_far_goal_is_its_distance_from_the_workspace(arm: Robot) -
 
 
 @pytest.mark.quick(0)
-def test_medrue_goals_out_of_reach_are_named_and_the_others_solved(medrue_robot: Robot) -> None:
+def test_medrue_goals_out_of_reach_are_named_and_the_others_solved(medrue_robot):
     T = target_workspace().T_world_tool[:4].copy()
     T[1, 0, 3] -= 1.0  # the rail ends 36 mm further on
     solution = solve(medrue_robot, Goals(T[:, :3, 3], T[:, :3, :3], names=("a", "b", "c", "d")))
@@ -196,13 +191,13 @@ def test_medrue_goals_out_of_reach_are_named_and_the_others_solved(medrue_robot:
         ({"names": ("a",)}, "1 names"),
     ],
 )
-def test_wrong_goals_are_refused(fields: dict[str, Any], message: str) -> None:
+def test_wrong_goals_are_refused(fields, message):
     with pytest.raises(DataError, match=message):
         Goals(**{"positions": np.zeros((2, 3)), **fields})
 
 
 @pytest.mark.quick(0)
-def test_a_coordinate_that_is_not_asked_for_is_left_as_it_comes(tmp_path: Path) -> None:
+def test_a_coordinate_that_is_not_asked_for_is_left_as_it_comes(tmp_path):
     """A five-bar off its plane by a hair reaches x and y, and no height."""
     nominal = load("docs/examples/five_bar.yaml")
     robot = nominal.with_parameters({"base.z": 1e-5, "left_end.x": 0.2995})
@@ -228,14 +223,14 @@ def test_a_coordinate_that_is_not_asked_for_is_left_as_it_comes(tmp_path: Path) 
         compensate(robot, Goals(flat))
 
 
-def test_an_unknown_target_and_a_wrong_start_are_refused(arm: Robot) -> None:
+def test_an_unknown_target_and_a_wrong_start_are_refused(arm):
     with pytest.raises(DataError, match="did you mean 'hand'"):
         solve(arm, Goals(np.zeros((2, 3)), target="hnad"))
     with pytest.raises(DataError, match="near: 3 rows"):
         solve(arm, Goals(np.zeros((2, 3))), near=np.zeros((3, 4)))
 
 
-def write(path: Path, text: str) -> str:
+def write(path, text):
     path.write_text(text)
     return str(path)
 
@@ -254,12 +249,12 @@ def write(path: Path, text: str) -> str:
         ("hand_x,hand_y,hand_z\n", "no rows"),
     ],
 )
-def test_wrong_files_are_refused(arm: Robot, tmp_path: Path, text: str, message: str) -> None:
+def test_wrong_files_are_refused(arm, tmp_path, text, message):
     with pytest.raises(DataError, match=message):
         read_goals(write(tmp_path / "goals.csv", text), arm)
 
 
-def test_command_writes_joint_values_that_predict_the_targets(arm: Robot, tmp_path: Path) -> None:
+def test_command_writes_joint_values_that_predict_the_targets(arm, tmp_path):
     robot = write(tmp_path / "arm.urdf", ARM)
     goal = arm_position(np.array([0.5, -0.2, 1.4, 0.2])) * 1e3
     targets = write(tmp_path / "t.csv", "pose,hand_x [mm],hand_y [mm],hand_z [mm]\np1,{},{},{}\n".format(*goal))
@@ -276,7 +271,7 @@ def test_command_writes_joint_values_that_predict_the_targets(arm: Robot, tmp_pa
     assert entry["joints"]["d [mm]"] == cells[3]
 
 
-def test_command_names_unreachable_targets_and_skips_them_only_on_request(tmp_path: Path) -> None:
+def test_command_names_unreachable_targets_and_skips_them_only_on_request(tmp_path):
     robot = write(tmp_path / "arm.urdf", ARM)
     targets = write(tmp_path / "t.csv", "pose,hand_x,hand_y,hand_z\nfar,2,0,0.3\nnear,0.6,0,0.3\n")
     out = tmp_path / "q.csv"

@@ -19,20 +19,12 @@ from calib.core.base.errors import DataError
 from calib.programs.languages.languages import read_program
 from tests.programs import programs_made as made
 from tests.programs import programs_run as run
+from tests.programs.controller_programs import frames_table
 
 SHIFT = pin.SE3(pin.exp3(np.array([2e-3, -1e-3, 3e-3])), np.array([1e-3, 2e-3, -1.5e-3]))
 TURN = 1e-3
 ROUNDED = 6e-5  # three decimals of FANUC: half a micrometre, and 9e-6 rad over less than 2 m, of three angles
 ALONG = 0.06  # what is computed from corrected numbers moves by as much as they do, or by a few times that [m]
-
-
-def fanuc_frames(rng):
-    frames, rows = {}, ["name,x,y,z,rx,ry,rz"]
-    for name in ("UFRAME[1]", "UFRAME[3]", "UTOOL[2]"):
-        xyz, angles = rng.uniform(-0.1, 0.1, 3), rng.uniform(-1, 1, 3)
-        frames[name] = run.pose(xyz, Rotation.from_euler("xyz", angles))
-        rows.append(name + "," + ",".join(f"{v:.17g}" for v in (*xyz, *angles)))
-    return frames, "\n".join(rows) + "\n"
 
 
 def urscript(seed):
@@ -50,8 +42,16 @@ def krl(seed):
 
 
 def fanuc(seed):
-    frames, table = fanuc_frames(np.random.default_rng(seed))
-    return {".ls": made.FanucMaker(seed).make()}, table, lambda texts: run.Fanuc(texts[0], dict(frames), seed).run()
+    rng = np.random.default_rng(seed)
+    frames = {
+        name: run.pose(rng.uniform(-0.1, 0.1, 3), Rotation.from_euler("xyz", rng.uniform(-1, 1, 3)))
+        for name in ("UFRAME[1]", "UFRAME[3]", "UTOOL[2]")
+    }
+    return (
+        {".ls": made.FanucMaker(seed).make()},
+        frames_table(frames),
+        lambda texts: run.Fanuc(texts[0], dict(frames), seed).run(),
+    )
 
 
 LANGUAGES = {"URScript": urscript, "RAPID": rapid, "KRL": krl, "FANUC": fanuc}

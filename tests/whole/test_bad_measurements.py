@@ -12,7 +12,7 @@ from calib.exporting.formats import JOINT_TABLES
 from calib.printers import COMMENTS as FIRMWARES
 from tests.project import write_table
 from tests.six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
-from tests.small_robots import write_arm
+from tests.small_robots import ARM_YAML, write_arm
 
 SIGMA = 4e-5
 NOT_FOR_ARMS = ("ur-kinematics", "rotary-axes", JOINT_TABLES, *FIRMWARES)
@@ -99,36 +99,39 @@ def test_check_and_fit_count_priors_in_the_same_words(folder, fit_file, run_cali
     assert words in run_calib("check", folder / "all.yaml", folder / "data.csv").out
 
 
-def test_all_poses_equal_without_priors(folder, fit_file):
-    q = np.tile(joints(1), (20, 1))
-    run, result = fit_file(q, arm_positions(folder, q))
+def still(n):
+    return np.tile(joints(1), (n, 1))
+
+
+def without_joint_3(n):
+    return joints(n) * [1, 1, 0, 1, 1, 1] + [0, 0, 0.4, 0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("poses", "n", "said"),
+    [(still, 20, "(all poses are the same)"), (without_joint_3, 60, "(joint j3 never moved)")],
+)
+def test_poses_that_determine_too_little_without_priors_are_named(folder, fit_file, poses, n, said):
+    run, result = fit_file(poses(n), arm_positions(folder, poses(n)))
     assert run.code == 3
-    assert "(all poses are the same)" in one_line(run)
+    assert said in one_line(run)
     assert result is None
 
 
-def test_one_joint_never_moved_without_priors_is_named(folder, fit_file):
-    q = joints(60)
-    q[:, 2] = 0.4
-    run, _ = fit_file(q, arm_positions(folder, q))
-    assert run.code == 3
-    assert "(joint j3 never moved)" in one_line(run)
+def on_a_line(folder, q):
+    return (
+        np.array([2.0, 0, 0]) + np.outer(np.linspace(0, 1, len(q)), [1.0, 2.0, 0.5]) + SIGMA * RNG.normal(size=(12, 3))
+    )
 
 
-def test_positions_on_a_line_fix_no_measurement_frame(folder, fit_file):
-    positions = np.array([2.0, 0, 0]) + np.outer(np.linspace(0, 1, 12), [1.0, 2.0, 0.5])
-    positions += SIGMA * RNG.standard_normal(positions.shape)
-    run, result = fit_file(joints(12), positions, "unknown_base.yaml")
+@pytest.mark.parametrize(
+    ("poses", "positions", "said"),
+    [(joints, on_a_line, "all measured positions lie on one line"), (still, arm_positions, "all poses are the same")],
+)
+def test_what_fixes_no_measurement_frame_is_a_wrong_input(folder, fit_file, poses, positions, said):
+    run, result = fit_file(poses(12), positions(folder, poses(12)), "unknown_base.yaml")
     assert run.code == 2
-    assert "data.csv: all measured positions lie on one line. They do not" in one_line(run)
-    assert result is None
-
-
-def test_all_poses_equal_fix_no_measurement_frame(folder, fit_file):
-    q = np.tile(joints(1), (20, 1))
-    run, result = fit_file(q, arm_positions(folder, q), "unknown_base.yaml")
-    assert run.code == 2
-    assert "data.csv: all poses are the same. They do not" in one_line(run)
+    assert f"data.csv: {said}. They do not" in one_line(run)
     assert result is None
 
 
@@ -169,13 +172,8 @@ def test_a_forced_export_says_so_in_every_format(folder, fit_file, run_calib):
         assert "# verdict: FAIL, exported by force" in target.read_text()
 
 
-def test_nan_from_python_is_named(folder):
-    robot = calib.load(folder / "arm.yaml")
-    positions = robot.positions(joints(40))
-    positions[5, 0, 1] = np.nan
-    with pytest.raises(calib.DataError, match="row 5: readings of 'ball' are not finite"):
-        calib.fit(robot, measurements(robot, joints(40), positions))
-    q = joints(40)
+def test_joint_values_from_python_that_are_not_finite_are_named(folder):
+    robot, q = calib.load(folder / "arm.yaml"), joints(40)
     q[6, 2] = np.inf
     with pytest.raises(calib.DataError, match="row 6: joint values are not finite"):
         calib.fit(robot, replace(measurements(robot, joints(40), robot.positions(joints(40))), joints=q))
@@ -183,17 +181,9 @@ def test_nan_from_python_is_named(folder):
 
 @pytest.mark.amount(3000, 100_000)
 def test_a_hundred_thousand_rows_are_one_fit_like_any_other(tmp_path, amount):
-    yaml = """\
-urdf: arm.urdf
-name_mot: [turn, slide, wrist]
-base: {frame: ground}
-targets: {tip: {frame: tool}}
-priors: false
-parametrisation:
-  - {origin: turn, components: [x, y, z], sigma: 2 mm}
-  - {origin: slide, components: [rx, rz], sigma: 5 mrad}
-"""
-    robot = calib.load(write_arm(tmp_path, yaml))
+    free = "  - {origin: turn, components: [x, y, z], sigma: 2 mm}\n"
+    free += "  - {origin: slide, components: [rx, rz], sigma: 5 mrad}\npriors: false\n"
+    robot = calib.load(write_arm(tmp_path, ARM_YAML.partition("  - ")[0] + free))
     n = amount
     q = np.random.default_rng(0).uniform([-2, 0, -2], [2, 1, 2], (n, 3))
     truth = robot.with_parameters({"turn.x": 1e-3, "slide.rz": 2e-3})

@@ -337,18 +337,23 @@ def test_an_elevation_beyond_straight_up_is_none(lab):
 HALF_PLAY = 4e-4
 
 
+def read_by_tracker(folder, seed, off):
+    """A small arm, and what a tracker reads of it: the nominal arm, its first joint off by `off(q)` [rad]."""
+    robot, rng = calib.load(write_arm(folder)), np.random.default_rng(seed)
+    q = rng.uniform([-1.5, 0.1, -1.5], [1.5, 0.9, 1.5], (60, 3))
+    actual = q + np.outer(off(q), [1, 0, 0])
+    return robot, calib.as_measurements(robot, q, robot.positions(actual) + 1e-5 * rng.standard_normal((60, 1, 3)))
+
+
 @pytest.fixture(scope="module")
 def lagging(tmp_path_factory):
-    """A small arm whose first joint lags, and what a tracker reads: the nominal arm where the joints really are."""
-    folder = tmp_path_factory.mktemp("lagging")
-    robot, rng = calib.load(write_arm(folder)), np.random.default_rng(3)
-    low, high = [-1.5, 0.1, -1.5], [1.5, 0.9, 1.5]
-    q = rng.uniform(low, high, (60, 3))
-    side, actual = directions_of_motion(q), q.copy()
-    actual[:, 0] += HALF_PLAY * side[:, 0] * np.sin(q[:, 0])
-    read = robot.positions(actual) + 1e-5 * rng.standard_normal((60, 1, 3))
-    data = calib.as_measurements(robot, q, read)
-    return robot, data, replace(data, approach=side)
+    """A small arm whose first joint lags, and its measurements without and with the direction of approach."""
+
+    def off(q):
+        return HALF_PLAY * directions_of_motion(q)[:, 0] * np.sin(q[:, 0])
+
+    robot, data = read_by_tracker(tmp_path_factory.mktemp("lagging"), 3, off)
+    return robot, data, replace(data, approach=directions_of_motion(data.joints))
 
 
 def test_hysteresis_is_found_where_the_direction_of_approach_is_stated(lagging):
@@ -414,14 +419,9 @@ LAG = 3e-3
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
     """A small arm whose first joint lags by its speed, and a file of what a tracker reads, with a column of speeds."""
-    folder = tmp_path_factory.mktemp("quick")
-    robot, rng = calib.load(write_arm(folder)), np.random.default_rng(4)
-    q = rng.uniform([-1.5, 0.1, -1.5], [1.5, 0.9, 1.5], (60, 3))
-    speed, actual = rng.uniform(0.1, 1.0, 60), q.copy()
-    actual[:, 0] += LAG * speed
-    read = robot.positions(actual) + 1e-5 * rng.standard_normal((60, 1, 3))
-    data = replace(calib.as_measurements(robot, q, read), context={"speed": speed})
-    (folder / "data.csv").write_text(format_measurements(robot, data))
+    folder, speed = tmp_path_factory.mktemp("quick"), np.random.default_rng(5).uniform(0.1, 1.0, 60)
+    robot, data = read_by_tracker(folder, 4, lambda q: LAG * speed)
+    (folder / "data.csv").write_text(format_measurements(robot, replace(data, context={"speed": speed})))
     return folder, robot
 
 

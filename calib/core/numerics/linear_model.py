@@ -75,7 +75,7 @@ class LinearModel:
 
     @property
     def few_rows(self) -> FloatArray:
-        """Rows with the products J^T J: those of `factor`, or J where many columns make products the quicker way."""
+        """Rows with the products J^T J, (n, n_free): those of `factor`, or J where many columns make them quicker."""
         n = self.jacobian.shape[1]
         return self.factor[:n, :-1] if n < MANY_COLUMNS or "factor" in vars(self) else self.jacobian
 

@@ -1,28 +1,9 @@
-"""All data sets: a new one is a file here, and its name in this list."""
+"""All data sets: a new one is an entry here, of a file of its own or beside others that are like it."""
 
-from . import (
-    charuco_hand_eye,
-    fr3_camera,
-    klipper_delta,
-    motoman_pixels,
-    motoman_right,
-    mukca,
-    positioner,
-    tilting_base,
-    ur10_chessboard,
-    ur10_tracker,
-)
+from . import charuco_hand_eye, klipper_delta, motoman_pixels, mukca, tilting_base
+from .serial_arms import CHESSBOARD, FRANKA, MOTOMAN, POSITIONER, UR10
 
 DATA_SETS = (
-    ur10_tracker.DATA,
-    motoman_right.DATA,
-    motoman_pixels.DATA,
-    mukca.PANDA,
-    mukca.KUKA,
-    fr3_camera.DATA,
-    positioner.DATA,
-    ur10_chessboard.DATA,
-    tilting_base.DATA,
-    charuco_hand_eye.DATA,
-    klipper_delta.DATA,
+    *(UR10, MOTOMAN, motoman_pixels.DATA, mukca.PANDA, mukca.KUKA, FRANKA, POSITIONER, CHESSBOARD, tilting_base.DATA),
+    *(charuco_hand_eye.DATA, klipper_delta.DATA),
 )

@@ -14,6 +14,10 @@ import numpy as np
 
 from ..data_set import DataSet, Split
 
+FILES = (
+    *("kossel_1", "kossel_2", "kossel_3", "kossel_4", "q5", "super_racer_a", "super_racer_b"),
+    *("v400_a1", "v400_a2", "v400_a3", "v400_a4", "v400_b"),
+)
 _ROW = re.compile(r"^(height|distance)(\d+)(_pos1?|_pos2)?\s*:\s*(.*)$")
 
 
@@ -111,18 +115,18 @@ def _splits(folder: Path) -> Iterator[Split]:
     # the owner of the last Kossel changed its controller: its steps fit twice the microsteps that its file says
     files = {path.stem: read(path, "32" if path.stem == "kossel_4" else None) for path in sorted(folder.glob("*.cfg"))}
 
-    def split(kind: str, words: str, folds: list[Fold], *, shifted: bool = False) -> Split:
-        return Split(kind, words, *(Folds(tuple(folds), fitted, shifted) for fitted in (True, False)))
+    def split(words: str, folds: list[Fold], *, shifted: bool = False) -> Split:
+        return Split(words, *(Folds(tuple(folds), fitted, shifted) for fitted in (True, False)))
 
     for names, words in ((("kossel_4",), "Kossel"), (("v400_a2", "v400_a3"), "V400, 2 files"), (("q5",), "Q5")):
-        yield split("random", f"{words}: each row left out", [f for name in names for f in left_out(*files[name])])
+        yield split(f"{words}: each row left out", [f for name in names for f in left_out(*files[name])])
     for days, words in (("kossel_1", "kossel_2"), "Kossel"), (("v400_a1", "v400_a2", "v400_a3", "v400_a4"), "V400"):
         folds = [
             Fold(*files[day], tuple(heights(*files[other], files[day][0])))
             for pair in itertools.pairwise(days)
             for day, other in (pair, pair[::-1])
         ]
-        yield split("stretches", f"{words}: heights of another day, up to a shift", folds, shifted=True)
+        yield split(f"{words}: heights of another day, up to a shift", folds, shifted=True)
 
 
 DATA = Printers(
@@ -135,20 +139,8 @@ DATA = Printers(
     licence="MIT, CC0-1.0, CC0-1.0, CC0-1.0, none stated, GPL-3.0; numbers only",
     columns="printer.cfg with [printer], [stepper_a] to [stepper_c] and the rows of [delta_calibrate] alone",
     folder="klipper_delta",
-    files={
-        "kossel_1.cfg": "80396b39780976fd445ce6aff34dca35dcb21a06cf88fa8d81daf5217ca3453d",
-        "kossel_2.cfg": "902eef2a3728d26e6301abbd8e6bf371eab60cc013171b9c9047e056ed9e7052",
-        "kossel_3.cfg": "ec072da35b72187721575f2e9aad1fc82d4005c096ba1b44eb32247b8e46e4b8",
-        "kossel_4.cfg": "b46f50d77c654707900890a32102b2a9ca20736c15fcedaa8ab6bfd31b545e70",
-        "q5.cfg": "d860a8e3f3375d11de67021d347200144d86d76d7d43b152fc3100fd63c64295",
-        "super_racer_a.cfg": "86b77278e49a88fa2da06d40653519161bd3f6283582b451254412fccd6507ba",
-        "super_racer_b.cfg": "06d65ab1b55388db8296d0f9d9ffef505b5f71db521b447e2f1e585bbe64725d",
-        "v400_a1.cfg": "3e3705fbfc0eee27aa0a37fe1be826353a5be3181f2b90ed506df658c89add87",
-        "v400_a2.cfg": "dd7dbd6ed8454f96cb3079be1b0969acc524545c16ac91f3b1681a245b52beec",
-        "v400_a3.cfg": "6e4f74a824e2505114b1fe90c59c0fb1930257e533c4a087542706e007b62ca9",
-        "v400_a4.cfg": "1896dd29c145fc9d744eed3bdc3c3b7ba5678f409badd9a80f41e522891100a3",
-        "v400_b.cfg": "dc743e95b1dc6c859f16bbdd514832f87f3b0774988ef0df113b865af5298d17",
-    },
+    files=tuple(f"{name}.cfg" for name in FILES),
+    digest="185deee3da7226095cb9897a4357373f831f903296a2e3a5a2bfced94250d8f2",
     splits=_splits,
     owners="what Klipper saved leaves 0.004 to 0.076 mm at heights that it was fitted to",
 )

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ..arms import Arm, Chain, moved, placed
 from ..data_set import Rows, Split
-from . import motoman_right
+from .serial_arms import MOTOMAN
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,7 @@ def _splits(folder: Path) -> Iterator[Split]:
     cameras = [row["camera"] for row in _table(folder, "cameras")]
     markers = {row["marker"]: [float(row[f"{axis} [m]"]) for axis in "xyz"] for row in _table(folder, "markers")}
     poses = {row["pose"]: row for row in _table(folder, "poses")}
-    joints = {pose: [float(row[f"{joint} [rad]"]) for joint in motoman_right.JOINTS] for pose, row in poses.items()}
+    joints = {pose: [float(row[f"{joint} [rad]"]) for joint in MOTOMAN.joints] for pose, row in poses.items()}
     kept = [row for row in _table(folder, "pixels") if poses[row["pose"]]["use"] == "train"]
     q = np.array([joints[row["pose"]] for row in kept])
     what = np.array([[cameras.index(row["camera"]), *markers[row["marker"]]] for row in kept])
@@ -84,29 +84,23 @@ def _splits(folder: Path) -> Iterator[Split]:
     tracked = [pose for pose, row in poses.items() if row["use"] == "test" and row["x [m]"]]
     places = np.array([[float(poses[pose][f"{axis} [m]"]) for axis in "xyz"] for pose in tracked])
     unseen = Rows(np.array([joints[pose] for pose in tracked]), places)
-    yield Split("owners", "pixels as in the files", Rows(q, np.column_stack([what, u, v])), unseen)
-    yield Split("owners", "pixels turned back by 90 degrees", Rows(q, np.column_stack([what, v, 5999 - u])), unseen)
+    yield Split("pixels as in the files", Rows(q, np.column_stack([what, u, v])), unseen)
+    yield Split("pixels turned back by 90 degrees", Rows(q, np.column_stack([what, v, 5999 - u])), unseen)
 
 
 DATA = Watched(
     name="Motoman, pixels",
-    robot=motoman_right.DATA.robot,
+    robot=MOTOMAN.robot,
     instrument="two cameras for the fitted rows; a laser tracker for the unseen rows, whose points also place base and"
     " reflector",
     origin="https://github.com/ctu-vras/multirobot-calibration (same poses as above)",
-    licence=motoman_right.DATA.licence,
+    licence=MOTOMAN.licence,
     columns="camera/poses.csv: pose, joints [rad], x y z [m] by the tracker, use; pixels.csv: pose, camera, marker, u v"
     " [px]; markers.csv: marker, x y z [m]; cameras.csv: camera, fx fy cx cy [px], k1 k2 p1 p2 k3",
     folder="motoman_right",
-    files={
-        "camera/cameras.csv": "13e3a478aa3efb24156451e32b09418a61a07afee0cbcd48b720a77552152080",
-        "camera/markers.csv": "58a0a3797aabb90d811961e6368856416fa93114243929a9a1d730bbab7dc57d",
-        "camera/pixels.csv": "b369d5674e88496ef942aba2bc33296caf0db6c81e58b9a4b92002d1295f17c6",
-        "camera/poses.csv": "cee732b7ff67ea550dc83975eabd7643730832074b3cd1312d15a5f1a08a762a",
-        "robot.urdf": motoman_right.DATA.files["robot.urdf"],
-    },
-    urdf="robot.urdf",
-    joints=motoman_right.JOINTS,
+    files=("camera/cameras.csv", "camera/markers.csv", "camera/pixels.csv", "camera/poses.csv", "robot.urdf"),
+    digest="fb5879d9967245bf6798a3bc7ece23f1e585451a74911f348d90f5e1395c9f5c",
+    joints=MOTOMAN.joints,
     base="l0",
     link="flange",
     point=(0.045, 0.0, 0.245),

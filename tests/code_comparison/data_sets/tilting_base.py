@@ -63,7 +63,7 @@ def _splits(folder: Path) -> Iterator[Split]:
     level = some(_rows(folder / "flat.csv"), 0, 200)
     for name, words in (("pallet", "on a pallet"), ("outdoor", "outdoors")):
         unseen = _rows(folder / f"{name}.csv")
-        yield Split("places", f"level floor fitted, {words} unseen", Rows(level.q, level.read[:, :3]), unseen)
+        yield Split(f"level floor fitted, {words} unseen", Rows(level.q, level.read[:, :3]), unseen)
 
 
 DATA = Stations(
@@ -75,12 +75,8 @@ DATA = Stations(
     columns="flat.csv, pallet.csv, outdoor.csv: pose, S or E, height [m], configuration of the arm, id, time [s],"
     " joints [m, rad], x y z of the reflector [m], readings of two accelerometers [m/s^2]; and their URDF",
     folder="tilting_base",
-    files={
-        "flat.csv": "a01ed0f25348caa691cb96ddb0808fcde7b70fbc80a1038e9d50f0a916e071a6",
-        "pallet.csv": "2056ef4f6130875a2232becd884d58d9f2bb844c52427d5159badc24b717fa5e",
-        "outdoor.csv": "a9bc3ba891fdcc4f3ad36a6fed452c67f6ea899c9e19f12b9019f27e77566bce",
-        "trailblazer.urdf": "46fec7b79bafd5c0fd141a47d294984d9f14305c3c09a60fbc2fba94a794adb2",
-    },
+    files=("flat.csv", "pallet.csv", "outdoor.csv", "trailblazer.urdf"),
+    digest="aa499400f9e8b9167c0d7dd0c76221096fc3e49e562dd0d6a0d593706ac802a8",
     urdf="trailblazer.urdf",
     joints=JOINTS,
     base="base_link",

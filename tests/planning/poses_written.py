@@ -1,0 +1,14 @@
+"""Poses of MedRUE as files."""
+
+import numpy as np
+
+from calib.core.data.table_writing import format_table
+
+
+def write_poses(path, q, names=None, more=()):
+    """Write joint values (n, 6) in mm and deg, with names and further columns; return the path."""
+    columns = [] if names is None else [("pose", names)]
+    columns += [("q1 [mm]", list(1e3 * q[:, 0]))]
+    columns += [(f"q{k} [deg]", list(np.degrees(q[:, k - 1]))) for k in range(2, 7)]
+    path.write_text(format_table([*columns, *more]))
+    return path

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+import scipy
 
 import calib
 from calib.fleets.comparing_results import difference_covariance, holm
@@ -69,6 +70,23 @@ def test_the_shifted_joint_is_a_real_difference_and_nothing_is_between_two_measu
     assert ["joint_3.z" in pair.real for pair in pairs.values()] == [False, True, True]
     assert pairs["again", "shifted"].together < 1e-6
     assert np.all(np.isnan(by_name["joint_1.x"].p_values))  # no one sees it: the base takes it up
+
+
+def test_all_parameters_together_differ_by_the_f_distribution_of_their_joint_square(fits):
+    first, other = (calib.load_result(fits / name) for name in ("before", "again"))
+    shown = [first.robot.parameters[name] for name in first.free_names]
+    robot = [k for k, parameter in enumerate(shown) if not parameter.placement]
+    precision = np.array([1.0 / p.sigma_si**2 if p.prior else 0.0 for p in shown])
+    covariances = [result.uncertainty.covariance for result in (first, other)]
+    both = difference_covariance(*covariances, precision)[np.ix_(robot, robot)]
+    places = first.robot.parameters.places(first.free_names)
+    change = (other.robot.values - first.robot.values)[places][robot]
+    scale = np.sqrt(np.diag(sum(covariances))[robot])
+    inverse, rank = scipy.linalg.pinv(both / np.outer(scale, scale), atol=1e-3, rtol=0, return_rank=True)
+    square = (change / scale) @ inverse @ (change / scale)
+    least = min(result.content["degrees_of_freedom"] for result in (first, other))
+    expected = scipy.stats.f.sf(square / rank, rank, least)
+    assert calib.compare(fits / "before", fits / "again").joint_p_values[0] == pytest.approx(expected, rel=1e-3)
 
 
 def test_errors_are_on_the_same_rows_where_there_are_any(fits, tmp_path):

@@ -125,6 +125,11 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study):
     second = {column.header: column.values for column in tables["table2"].columns}
     row = second["error [mm]"].index("mean, paper")
     assert second["O1"][row] == error_table(2)["O1"]["mean"]
+    relative = {column.header: column.values for column in tables["observability"].columns}
+    reached = [small_study.selections[name].after["O1"] for name in small_study.selections]
+    parts = [value for value in relative["O1 [% of the best]"] if value is not None]
+    assert max(parts) == 100.0
+    assert min(reached) / max(reached) == pytest.approx(parts[reached.index(min(reached))] / 100)
     check_tables(tables.values())
     assert "before: the nominal robot at the validation poses of O1" in tables["table2"].csv()
 

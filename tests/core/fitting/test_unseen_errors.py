@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.fitting.unseen_errors import accuracy, leave_one_out_errors, limit95
+from calib.core.fitting.unseen_errors import accuracy, leave_one_out_errors, left_out_ratio, limit95
 from calib.core.robots.accuracy_of_files import PoseUse
 from tests.project import write_table
 from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
@@ -42,6 +42,17 @@ def test_poses_left_out_one_by_one_are_those_of_refits(arm, loss):
         others = np.delete(np.arange(30), k)
         again = calib.fit(arm, data[others], validation=data[[k]], sigma=SIGMA)
         np.testing.assert_allclose(told[k], again.validation.after["ball"][0], atol=2e-7, rtol=2e-3)
+
+
+def test_left_out_poses_are_further_off_than_noise_explains_by_their_errors(arm, monkeypatch):
+    """Used and left-out errors together are what noise is to independent poses: n f^2 for n rows."""
+    fit = calib.fit(arm, noisy(arm, joints(30), SIGMA, 8), sigma=SIGMA)
+    used, left_out = fit.identification.after["ball"], leave_one_out_errors(fit).after["ball"]
+    more = np.mean(used * left_out) / (np.sum(used**2) / fit.statistics.freedom)
+    assert left_out_ratio(fit) == 1.0  # chance explains it
+    monkeypatch.setattr("calib.core.fitting.unseen_errors.HARDLY", 1.1)
+    assert more > 1.0
+    assert left_out_ratio(fit) == pytest.approx(np.sqrt(more), rel=1e-6)
 
 
 @pytest.mark.quick(0)

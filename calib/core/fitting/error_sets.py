@@ -40,14 +40,15 @@ class ErrorSet(ReadOnlyArrays):
     singular_value: FloatArray
     passive: FloatArray | None = None
 
-    def parts(self) -> list[tuple[Instrument, Part, IntArray]]:
+    @memoize
+    def parts(self) -> tuple[tuple[Instrument, Part, IntArray], ...]:
         """Return every part of every instrument with readings, and its rows, (n_rows,)."""
         parts = []
         for instrument in self.instruments:
             for k, part in enumerate(instrument.parts):
                 if len(self.after.get(instrument.name, ())):
                     parts.append((instrument, part, np.flatnonzero(np.array(instrument.part_of_row) == k)))
-        return parts
+        return tuple(parts)
 
     def errors(self, state: str, part: str = "", *, single: bool = False) -> FloatArray:
         """Return errors of a part of all instruments that have it, (n, k) [SI].

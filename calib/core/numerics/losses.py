@@ -279,5 +279,5 @@ def studentised(
     ratio = size / scale
     left, rare = max(freedom / 2.0, 1.0), FALSE_ALARM / max(len(widths), 1)
     chance = np.asarray(scipy.special.fdtrc(widths, left, ratio**2 / widths))
-    limit = np.sqrt(widths * scipy.special.fdtri(widths, left, 1.0 - rare))
+    limit = _values_by_width(lambda k: float(np.sqrt(k * scipy.special.fdtri(k, left, 1.0 - rare))), widths)
     return StudentisedErrors(ratio, leverages, largest, chance, limit, scale)

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import f
+from scipy.stats import chi2, f
 
 import calib
 from calib.core.data.tables import read_table
@@ -94,6 +94,23 @@ def test_an_outlier_has_the_weight_by_which_it_would_be_none_and_others_keep_the
     np.testing.assert_allclose(weights[wrong], limit / squares, rtol=0.2)  # the scale is a median of 80
     good = calib.fit(arm, with_errors(arm, [], 0.0))
     assert np.all(bounded_weights(good) == 1.0)
+
+
+@pytest.mark.parametrize("loss", ["none", "huber"])
+def test_weights_of_outliers_are_those_by_the_linear_fit_without_them(arm, loss):
+    wrong = np.array([3, 40, 60, 79])
+    fit = calib.fit(arm, with_errors(arm, wrong, [1e-3, 0, 0]), loss=loss)
+    weights = fit.weights.copy()
+    weights[wrong] = 0.0
+    columns, residuals = fit.rows.jacobian.reshape(80, 3, -1), fit.rows.residuals.reshape(80, 3)
+    covariance = np.linalg.inv(np.einsum("n,nki,nkj->ij", weights, columns, columns))
+    residuals = residuals - columns @ (covariance @ np.einsum("n,nki,nk->i", weights, columns, residuals))
+    shared = columns @ covariance @ columns.transpose(0, 2, 1)
+    spread = np.eye(3) + (1.0 - 2.0 * weights)[:, None, None] * shared
+    squares = np.einsum("ni,ni->n", residuals, np.linalg.solve(spread, residuals[:, :, None])[:, :, 0])
+    scale = np.median(np.sqrt(squares / chi2.median(3)))
+    limit = 3 * f.isf(0.01 / 80, 3, fit.statistics.freedom / 2)
+    np.testing.assert_allclose(bounded_weights(fit)[wrong], limit * scale**2 / squares[wrong], rtol=1e-6)
 
 
 @pytest.mark.parametrize("size", [5e-4, 5e-3])

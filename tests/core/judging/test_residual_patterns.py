@@ -130,9 +130,12 @@ def test_rows_that_show_a_change_in_their_course_are_not_called_unordered(arm):
     assert any("random order" in line for line in not_covered(fitted(arm, joints(80))))
 
 
-@pytest.mark.parametrize("rows_kept", [10, 1000], ids=["many rows", "few rows"])
-def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm, monkeypatch, rows_kept):
+@pytest.mark.parametrize(
+    ("rows_kept", "sums_at_once"), [(10, 1), (1000, 1 << 22)], ids=["many rows, a visit at a time", "few rows"]
+)
+def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm, monkeypatch, rows_kept, sums_at_once):
     monkeypatch.setattr(residual_patterns, "KEPT", rows_kept)
+    monkeypatch.setattr(residual_patterns, "_SUMS_AT_ONCE", sums_at_once)
     q = joints(80)
     fit = fitted(arm, off(1, 2e-4 * np.sin(7 * q[:, 1])))
     result = next(p for p in fit.patterns if (p.kind, p.detail) == ("wave", "7 cycles a turn"))

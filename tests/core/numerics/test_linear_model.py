@@ -30,6 +30,12 @@ def test_the_step_is_that_of_stacked_least_squares(model):
     np.testing.assert_allclose(model.step(others), stacked(model, others), rtol=1e-9)
 
 
+def test_the_transposed_product_is_that_of_stacked_rows(model):
+    column = RNG.normal(size=43)
+    rows = np.vstack([model.jacobian, model.prior.rows])
+    np.testing.assert_allclose(model.transposed_product(column), rows.T @ column, rtol=1e-12)
+
+
 def test_a_model_by_some_parameters_holds_the_others(model):
     some = np.array([True, True, False, True])
     part = model.select_parameters(some)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.core.numerics.observability import INDICES, information, observability
+from calib.core.numerics.observability import INDICES, information, observability, posterior_information
+from calib.core.numerics.prior import Prior
 
 
 def indices_of(matrix, n_poses):
@@ -50,3 +51,21 @@ def test_many_columns_with_priors_give_the_same_covariance(smallest):
     inverse = np.linalg.inv((rows.T @ rows + priors.T @ priors) / np.outer(scale, scale)) / np.outer(scale, scale)
     np.testing.assert_allclose(known.covariance * np.outer(scale, scale), inverse * np.outer(scale, scale), atol=1e-7)
     np.testing.assert_allclose(known.root @ known.root.T, known.covariance, rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.parametrize("apart", [1.0, 1e-6], ids=["products keep the digits", "products lose them"])
+def test_many_columns_with_correlated_priors_have_the_information_of_all_rows(apart):
+    rng, n, together, without = np.random.default_rng(4), 150, [3, 70, 71], [8, 9]
+    rows, core = rng.standard_normal((60, n)), rng.standard_normal((n, n))
+    correlations = np.corrcoef(rng.standard_normal((3, 5)))
+    precision = np.eye(n)
+    precision[np.ix_(together, together)] = np.linalg.inv(correlations)
+    inverse = np.linalg.pinv(np.vstack([rows, np.delete(np.linalg.cholesky(precision).T, without, axis=0)]))
+    back = np.eye(n)
+    back[8, 9], back[9, 9] = 1.0, apart  # the same rows of other unknowns, whose columns 8 and 9 are nearly equal
+    known = posterior_information(rows @ back, Prior(~np.isin(np.arange(n), without), np.array(together), correlations))
+    root, scale = back @ known.root, np.linalg.norm(known.root, axis=1)
+    np.testing.assert_allclose(root @ root.T, inverse @ inverse.T, atol=1e-6)
+    root = known.root / scale[:, None]
+    np.testing.assert_allclose(known.covariance / np.outer(scale, scale), root @ root.T, atol=1e-9)
+    np.testing.assert_allclose(known.covariance_from(core) / np.outer(scale, scale), root @ core @ root.T, atol=1e-9)

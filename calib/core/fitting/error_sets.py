@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
@@ -40,15 +41,18 @@ class ErrorSet(ReadOnlyArrays):
     singular_value: FloatArray
     passive: FloatArray | None = None
 
-    @memoize
     def parts(self) -> tuple[tuple[Instrument, Part, IntArray], ...]:
         """Return every part of every instrument with readings, and its rows, (n_rows,)."""
-        parts = []
-        for instrument in self.instruments:
-            for k, part in enumerate(instrument.parts):
-                if len(self.after.get(instrument.name, ())):
-                    parts.append((instrument, part, np.flatnonzero(np.array(instrument.part_of_row) == k)))
-        return tuple(parts)
+        return self._parts
+
+    @cached_property
+    def _parts(self) -> tuple[tuple[Instrument, Part, IntArray], ...]:
+        return tuple(
+            (instrument, part, np.flatnonzero(np.array(instrument.part_of_row) == k))
+            for instrument in self.instruments
+            for k, part in enumerate(instrument.parts)
+            if len(self.after.get(instrument.name, ()))
+        )
 
     def errors(self, state: str, part: str = "", *, single: bool = False) -> FloatArray:
         """Return errors of a part of all instruments that have it, (n, k) [SI].

@@ -294,9 +294,8 @@ class SolvedModel(ReadOnlyArrays):
         mixed = members @ (shares @ span**2).T
         weighed = [np.sqrt(share)[:, None] * self._spread for share in shares]
         of_columns = [rows.T @ rows for rows in weighed]
-        both = np.array([[np.vdot(one, other) for other in of_columns] for one in of_columns]).reshape(
-            2 * (len(shares),)
-        )
+        both = np.array([np.vdot(one, other) for one in of_columns for other in of_columns])
+        both = both.reshape(len(shares), len(shares))
         noise = 0.5 * ((shares * (self.model.rows.stands_for - 2.0 * self._leverage)) @ shares.T + both)
         return np.block([[families, mixed], [mixed.T, noise]])
 

@@ -51,7 +51,8 @@ class Span:
     def with_columns(self, more: FloatArray) -> Span:
         """Return U with further columns, (n_rows, n_more)."""
         wider = Span(self.jacobian, self.root, more if self.more is None else np.hstack([self.more, more]))
-        vars(wider).update({name: value for name, value in vars(self).items() if name == "_whole"})
+        if "_whole" in vars(self):  # computed once for both
+            wider._whole = self._whole
         return wider
 
     def times(self, columns: FloatArray) -> FloatArray:

@@ -38,8 +38,8 @@ JOINT = """<joint name="j{0}" type="revolute"><parent link="l{0}"/><child link="
 <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint><link name="l{1}"/>"""
 POINT = np.array([0.0, 0.03, 0.1])
 PIXEL = 0.2
-TOLD = dict.fromkeys(("robot", "instrument", "licence", "columns"), "simulated")
-TOLD |= {"origin": "this test", "folder": "arm", "files": (), "digest": hashlib.sha256().hexdigest()}
+SIMULATED = dict.fromkeys(("robot", "instrument", "licence", "columns"), "simulated")
+SIMULATED |= {"origin": "this test", "folder": "arm", "files": (), "digest": hashlib.sha256().hexdigest()}
 
 
 def arm(errors):
@@ -100,7 +100,7 @@ def photographs():
     start = [(*T[:3, 3] + 0.02, *Rotation.from_matrix(T[:3, :3]).as_quat()) for T in (camera, board)]
     return Photographs(
         "shots", splits=lambda _: list(halves(images))[:1], camera=start[0], board=start[1],
-        intrinsics=(1210.0, 1210, 630, 510), size=(1280, 1000), **TOLD,
+        intrinsics=(1210.0, 1210, 630, 510), size=(1280, 1000), **SIMULATED,
     )  # fmt: skip
 
 
@@ -118,7 +118,7 @@ def printer():
     rows = tuple(Row(0.3, (", ".join(f"{item:.1f}" for item in 80 * steps),)) for steps in down)
     folds = tuple(left_out("\n".join([*head, "[delta_calibrate]", "radius: 90"]), rows))[:2]
     split = Split("two of 13 rows", *(Folds(folds, fitted, False) for fitted in (True, False)))
-    return Printers("printer", splits=lambda _: [split], **TOLD)
+    return Printers("printer", splits=lambda _: [split], **SIMULATED)
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def stand_ins(tmp_path_factory):
             sockets += [[place, hole]] * (len(touched) - len(sockets))
     balls = Rows(np.array(touched), np.array(sockets, float))
     digest = hashlib.sha256((folder / "arm" / "arm.urdf").read_bytes()).hexdigest()
-    common = TOLD | {
+    common = SIMULATED | {
         "files": ("arm.urdf",), "digest": digest, "urdf": "arm.urdf", "base": "l0", "link": "l6",
         "joints": tuple(f"j{k}" for k in range(6)), "point": tuple(POINT), "point_sigma": 0.01,
     }  # fmt: skip
@@ -341,7 +341,7 @@ def test_errors_of_sockets_are_what_no_place_of_the_artefact_explains(stand_ins)
 
 
 def stations(name="stations"):
-    return Stations(name, splits=lambda _: [], joints=(COLUMN,), base="foot", link="tip", **TOLD)
+    return Stations(name, splits=lambda _: [], joints=(COLUMN,), base="foot", link="tip", **SIMULATED)
 
 
 def test_an_arm_that_tilts_is_placed_anew_at_each_height():

@@ -139,5 +139,5 @@ def test_a_fit_with_its_pages_loads_nothing_that_other_commands_need(tmp_path):
     own = ("exporting.formats", "printers.formats", "exporting.functions.facts", "exporting.functions.c_text")
     own += ("fleets.contradicted_prior", "fleets.hierarchy")
     assert set(own) <= modules().keys()
-    told = ("docs/examples/five_bar.yaml", "docs/examples/five_bar_simulated.csv", "--out", str(tmp_path / "out"))
-    assert_loads_none(program("fit", *told), (*heavy, *(f"calib.{name}" for name in own)))
+    arguments = ("docs/examples/five_bar.yaml", "docs/examples/five_bar_simulated.csv", "--out", str(tmp_path / "out"))
+    assert_loads_none(program("fit", *arguments), (*heavy, *(f"calib.{name}" for name in own)))

@@ -12,15 +12,15 @@ class MuJoCo:
     """A file in MuJoCo."""
 
     def __init__(self, file, root="world"):
-        self.library = pytest.importorskip("mujoco", reason=MISSING.format("MuJoCo"))
-        self.model = self.library.MjModel.from_xml_path(str(file))
-        self.data = self.library.MjData(self.model)
+        self.mujoco = pytest.importorskip("mujoco", reason=MISSING.format("MuJoCo"))
+        self.model = self.mujoco.MjModel.from_xml_path(str(file))
+        self.data = self.mujoco.MjData(self.model)
 
     def put(self, values):
         """Bring joints to values by name."""
         for name, value in values.items():
             self.data.joint(name).qpos[0] = value
-        self.library.mj_kinematics(self.model, self.data)
+        self.mujoco.mj_kinematics(self.model, self.data)
 
     def pose(self, link):
         """Where a link is, (4, 4)."""
@@ -35,16 +35,16 @@ class MuJoCo:
 
     def open_ties(self):
         """How far each row of an equality is from holding [m or rad]."""
-        self.library.mj_forward(self.model, self.data)
-        return self.data.efc_pos[self.data.efc_type == self.library.mjtConstraint.mjCNSTR_EQUALITY]
+        self.mujoco.mj_forward(self.model, self.data)
+        return self.data.efc_pos[self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_EQUALITY]
 
     def hold(self, commands, values):
         """Start at values, simulate for 1 s with servos at commands by name; return where their joints rest."""
         self.put(values)
         for name, value in commands.items():
             self.data.actuator(name).ctrl[0] = value
-        self.library.mj_step(self.model, self.data, nstep=int(1.0 / self.model.opt.timestep))
-        self.library.mj_forward(self.model, self.data)
+        self.mujoco.mj_step(self.model, self.data, nstep=int(1.0 / self.model.opt.timestep))
+        self.mujoco.mj_forward(self.model, self.data)
         assert np.abs(self.data.qvel).max() < 1e-5
         return np.array([self.data.joint(name).qpos[0] for name in commands])
 

@@ -48,7 +48,7 @@ def test_assembled_configurations_leave_no_tie_open(case) -> None:
 def test_the_keyframe_home_is_assembled_and_held_and_nothing_touches_the_floor(case, file: str) -> None:
     tool = MuJoCo(case.folder / file)
     model, data = tool.model, tool.data
-    tool.library.mj_resetDataKeyframe(model, data, model.key("home").id)
+    tool.mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     for name, value in zip(case.robot.joint_names, case.robot.home, strict=True):
         assert data.joint(name).qpos[0] == pytest.approx(value, abs=1e-12)
         assert data.actuator(name).ctrl[0] == pytest.approx(value, abs=1e-12)

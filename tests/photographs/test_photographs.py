@@ -99,8 +99,8 @@ def test_photographs_of_a_simulated_robot_show_its_board_where_its_camera_sees_i
 
     calib_("init", EXAMPLES / "arm.urdf", "--measure", "camera", "--out", "arm.yaml")
     calib_("sample", "arm.yaml", "--count", 3, "--seed", 1, "--out", "poses.csv")
-    told = calib_("simulate", "arm.yaml", "poses.csv", "--photographs", "shots", "--out", "joints.csv")
-    assert told.splitlines()[-1] == "3 simulated photographs written to shots"
+    printed = calib_("simulate", "arm.yaml", "poses.csv", "--photographs", "shots", "--out", "joints.csv")
+    assert printed.splitlines()[-1] == "3 simulated photographs written to shots"
     calib_("simulate", "arm.yaml", "poses.csv", "--sigma-mm", 0, "--out", "exact.csv")
     calib_("detect", "shots", "--board", "arm_board.yaml", "--out", "pixels.csv")
     exact, seen = pixels("exact.csv"), pixels("joints.csv", "pixels.csv")
@@ -122,7 +122,7 @@ def test_the_drawing_is_opencvs_own():
 
 @pytest.mark.quick(2)
 @pytest.mark.parametrize(
-    ("told", "shown", "words"),
+    ("described", "shown", "words"),
     [
         ("charuco:8x6:30mm:21mm:DICT_5X5_100", "", "its 24 markers fit a board of 6 columns"),
         ("charuco:7x8:30mm:21mm:DICT_5X5_100", "", "its 24 markers fit a board of 6 columns"),
@@ -134,13 +134,13 @@ def test_the_drawing_is_opencvs_own():
         ("aruco:3x4:40mm:10mm:DICT_4X4_50", "aruco", "its 12 markers fit a board of 4 columns"),
     ],
 )
-def test_why_no_board_is_found_is_said(told, shown, words):
+def test_why_no_board_is_found_is_said(described, shown, words):
     image = seen(read_board_option(BOARDS.get(shown, CHARUCO)))[0]
     if shown == "mirrored":
         image = np.ascontiguousarray(image[:, ::-1])
     if shown == "empty":
         image = np.full((300, 400), 127, np.uint8)
-    assert words in last(read_board_option(told), image).images[0].remark
+    assert words in last(read_board_option(described), image).images[0].remark
 
 
 def test_blur_and_strange_markers_are_said():
@@ -347,8 +347,8 @@ def test_ten_minutes_to_hand_eye(tmp_path, run_calib):
     turned = json.loads(run_calib(*found, cwd=tmp_path).out)["turned_rad"]
     assert np.allclose(turned, turning(poses), atol=0.02)  # the lens is not known there: a degree
     assert (tmp_path / "found.html").read_text().count("<svg") == len(poses)
-    told = ("hand-eye", "shots", *board, "--poses")
-    done = run_calib(*told, "shots/poses.csv", "--out", "out", cwd=tmp_path)
+    command = ("hand-eye", "shots", *board, "--poses")
+    done = run_calib(*command, "shots/poses.csv", "--out", "out", cwd=tmp_path)
     assert done.code == 0, done.err
     assert "camera on the tool" in done.out
     result = json.loads((tmp_path / "out" / "hand_eye.json").read_text())
@@ -362,13 +362,13 @@ def test_ten_minutes_to_hand_eye(tmp_path, run_calib):
     # each belongs to a mark of the plots
     assert page.count("<svg") == page.count('data-row="') == len(result["images"])
     assert all(f'id="{name}"' in page for name in ("images", "pixels", "tool"))
-    assert run_calib(*told, "board.yaml", "--out", "other", cwd=tmp_path).code == 2
+    assert run_calib(*command, "board.yaml", "--out", "other", cwd=tmp_path).code == 2
     assert not (tmp_path / "other").exists()
     first = tmp_path / "shots" / "shot_01.png"
     cv2.imwrite(str(first), cv2.imread(str(first))[:, ::-1])
     for more in sorted((tmp_path / "shots").glob("shot_*.png"))[8:]:
         more.unlink()
-    doubted = run_calib(*told, "shots/poses.csv", "--camera-on", "tool", "--out", "other", cwd=tmp_path)
+    doubted = run_calib(*command, "shots/poses.csv", "--camera-on", "tool", "--out", "other", cwd=tmp_path)
     assert "Verdict: CHECK" in doubted.out
     assert "mirrored images were left out: shot_01" in " ".join(doubted.out.split())
 

@@ -89,6 +89,6 @@ def test_exact_readings_have_no_noise_to_weigh_by(robot, how, loss):
     off = 0.5 * robot.parameters.sigma_si * np.random.default_rng(0).standard_normal(len(robot.values))
     q = robot.sample(60, seed=1)
     exact = calib.as_measurements(robot, q, robot.with_parameters(robot.values + off).positions(q))
-    told = f"no noise by which --loss {loss} could tell .* --loss none, and without --exclude-outliers"
-    with pytest.raises(calib.NotIdentifiableError, match=told):
+    message = f"no noise by which --loss {loss} could tell .* --loss none, and without --exclude-outliers"
+    with pytest.raises(calib.NotIdentifiableError, match=message):
         calib.fit(robot, exact, **how)

@@ -271,7 +271,7 @@ inclinometers:
   low: {frame: tracks, joints: [tip_x, tip_y]}
   high: {frame: head, joints: [lean_x, lean_y]}
 """
-TOLD = "lift [m],turn [rad],slide [m],ball_x [m],ball_y [m],ball_z [m]"
+LIFT_HEADER = "lift [m],turn [rad],slide [m],ball_x [m],ball_y [m],ball_z [m]"
 
 
 def mast(folder, more=SENSORS, urdf=MAST):
@@ -296,7 +296,7 @@ def leaning(n, seed):
 def test_joints_that_nobody_commands_are_read_by_inclinometers(tmp_path, way):
     robot = mast(tmp_path)
     q, points, low, high = leaning(8, 8)
-    head, cells = TOLD, [q[:, 2], q[:, 5], q[:, 6], points]
+    head, cells = LIFT_HEADER, [q[:, 2], q[:, 5], q[:, 6], points]
     for name, read in (("low", low), ("high", high)):
         head += "".join(f",{name}_{way}_{axis}" for axis in "xyz"[: 3 if way == "accelerometer" else 2])
         tilts = [np.arctan2(read[:, 1], read[:, 2]), np.arctan2(-read[:, 0], read[:, 2])]
@@ -314,7 +314,7 @@ def test_joints_that_nobody_commands_are_read_by_inclinometers(tmp_path, way):
 def test_foreign_columns_may_be_what_an_inclinometer_reads(tmp_path):
     columns = "columns: {imu_x: low_accelerometer_x, imu_y: low_accelerometer_y, imu_z: low_accelerometer_z}\n"
     robot = mast(tmp_path, SENSORS.replace("  high: {frame: head, joints: [lean_x, lean_y]}\n", columns))
-    (tmp_path / "data.csv").write_text(f"{TOLD},lean_x,lean_y,imu_x,imu_y,imu_z\n1,0,0,1,0,1,0,0,0,0,9.8\n")
+    (tmp_path / "data.csv").write_text(f"{LIFT_HEADER},lean_x,lean_y,imu_x,imu_y,imu_z\n1,0,0,1,0,1,0,0,0,0,9.8\n")
     assert np.allclose(calib.read_measurements(tmp_path / "data.csv", robot).joints, [[0, 0, 1, 0, 0, 0, 0]])
 
 
@@ -462,14 +462,14 @@ UP = ",".join(f"low_accelerometer_{axis}" for axis in "xyz")
 )
 def test_a_file_in_which_inclinometers_say_too_little_is_refused(tmp_path, head, cells, message):
     robot = mast(tmp_path)
-    (tmp_path / "data.csv").write_text(f"{TOLD}{head}\n1,0,0,1,0,1{cells}\n")
+    (tmp_path / "data.csv").write_text(f"{LIFT_HEADER}{head}\n1,0,0,1,0,1{cells}\n")
     with pytest.raises(calib.DataError, match=message):
         calib.read_measurements(tmp_path / "data.csv", robot)
 
 
 def test_two_joints_about_one_axis_cannot_be_told_apart(tmp_path):
     robot = mast(tmp_path, urdf=MAST.replace("0 1 0", "1 0 0", 1))
-    head = f"{TOLD},lean_x,lean_y,low_accelerometer_x,low_accelerometer_y,low_accelerometer_z"
+    head = f"{LIFT_HEADER},lean_x,lean_y,low_accelerometer_x,low_accelerometer_y,low_accelerometer_z"
     (tmp_path / "data.csv").write_text(f"{head}\n1,0,0,1,0,1,0,0,1,0,9.8\n")
     with pytest.raises(calib.DataError, match="line 2: tip_x and tip_y have no values at which 'low' reads this"):
         calib.read_measurements(tmp_path / "data.csv", robot)

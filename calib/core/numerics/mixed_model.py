@@ -70,7 +70,7 @@ from calib.core.numerics.identifiability import inverse_of_triangle, reduce_rows
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows, coefficients_of
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
-_LEAST_EFFECT = 0.02  # a solution omits a coefficient that moves all rows together by less than this part of the noise
+_LEAST_EFFECT = 0.1  # a solution omits a coefficient that moves all rows together by less than this part of the noise
 _LOST = 1e-8  # with pivots below this part of the diagonal, products of rows have lost what a QR factor of rows keeps
 
 
@@ -123,10 +123,6 @@ class MixedModel(ReadOnlyArrays):
         return np.flatnonzero(~self.rows.has_stated_noise)
 
     @cached_property
-    def _lengths(self) -> FloatArray:
-        return np.linalg.norm(self.x, axis=0)
-
-    @cached_property
     def has_prior(self) -> FloatArray:
         """Diagonal of P, (n,)."""
         return np.where(self.family == FLAT, 0.0, 1.0)
@@ -152,7 +148,8 @@ class MixedModel(ReadOnlyArrays):
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
         scale = np.append(families, [1.0, 1.0])[self.family]  # the appended entries are for families -2 and -1
         if seen is None:
-            seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _LEAST_EFFECT))
+            squares = scale**2 * np.einsum("ij,ij,i->j", self.x, self.x, 1.0 / variance)
+            seen = np.flatnonzero((self.family < 0) | (squares > _LEAST_EFFECT**2))
         root = np.sqrt(variance)
         z, y = self.whiten_columns(seen, scale, variance), self.y / root
         prior = self.has_prior[seen]

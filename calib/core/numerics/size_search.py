@@ -7,9 +7,9 @@ largest density of log s counts, s / (1 + s^2) times the likelihood: it is never
 s = 1 where rows say nothing (chung2013).
 
 Search. Newton's steps on the logarithms of the sizes use the average information (`calib.core.numerics.mixed_model`),
-which is positive, plus the curvature of the prior. A step that does not lower the cost is damped (Levenberg, Marquardt)
-and tried again. The one start has families half as large as expected, and noise and scatter each a part of the
-residuals that flat columns leave. A size falls to no less than its bound, which is as good as zero.
+which is positive, plus the curvature of the prior. A step that does not lower the cost is shortened, to the minimum of
+a parabola along it, and tried again. The one start has families half as large as expected, and noise and scatter each a
+part of the residuals that flat columns leave. A size falls to no less than its bound, which is as good as zero.
 
 Draws. The likelihood is even in every size s: an absent family has its maximum at s = 0, where log s has no scale. So
 the posterior is approximated by a normal one in s itself, and drawn sizes are made positive. With I Fisher's
@@ -74,6 +74,7 @@ _OTHERS = 3.0  # difference of logarithms between the largest noise and what the
 _LEAST_FREEDOM = 1e-6  # of a group whose rows flat columns explain but for rounding
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
+_SHORTER = 0.1, 0.5  # limits of the factor by which a step is shortened
 _CONVERGED = 0.03  # last step of the logarithm of a noise
 _FLAT_COST = 1e-6  # largest slope of a cost that no longer falls
 _GAIN = 5e-4  # least fall of the cost for which a search continues, if not given
@@ -100,7 +101,7 @@ def likeliest_sizes(
         bounds = replace(bounds, least=np.where(none, -np.inf, bounds.least))
     begin = np.clip(bounds.first if start is None else start, bounds.least, bounds.most)
     at = model.solve(np.where(none, bounds.least, begin))
-    damping, gain = 1e-3, np.inf
+    gain = np.inf
     for _ in range(_ROUNDS):
         _, slope, curvature = _prior(at)
         gradient = at.gradient + slope
@@ -109,14 +110,13 @@ def likeliest_sizes(
             break
         information = at.average_information + np.diag(curvature)
         seen = at.seen if gain < _NEAR else None  # the cost is not smooth where these change
-        better, damping = _try_step(at, gradient, information, free, bounds, damping, least_gain, seen)
+        better = _take_step(at, gradient, information, free, bounds, least_gain, seen)
         if better is None:
             break
         gain = _cost(at) - _cost(better)
         at = better
         if gain < least_gain:
             break
-        damping *= 0.3
     falling = (at.gradient + _prior(at)[1] > 0.0) & (at.logs < bounds.first + np.log(_SMALL)) & ~none
     falling[model.n_families : model.n_families + len(model.unstated_groups)] = False  # noise is never zero
     without = model.solve(np.where(falling, bounds.least, at.logs)) if np.any(falling) else at
@@ -219,29 +219,28 @@ def _mean_beyond(value: float, variance: float) -> float:
     return std * float(np.exp(-0.5 * (value / std) ** 2) / np.sqrt(2.0 * np.pi) / scipy.special.ndtr(value / std))
 
 
-def _try_step(
+def _take_step(
     at: SolvedModel,
     gradient: FloatArray,
     information: FloatArray,
     free: BoolArray,
     bounds: _Bounds,
-    damping: float,
     least_gain: float,
     seen: IntArray | None,
-) -> tuple[SolvedModel | None, float]:
-    """Solved model after a step that lowers the cost, and its damping; None if no step promises enough."""
+) -> SolvedModel | None:
+    """Solved model after a step of the free sizes that lowers the cost; None if no step promises enough."""
     inner = information[np.ix_(free, free)]
-    while True:
-        step = np.zeros(len(gradient))
-        damped = inner + np.diag(damping * np.diag(inner) + min(_RIDGE, 10.0 * least_gain))
-        step[free] = -np.linalg.solve(damped, gradient[free])
-        if not -gradient @ step >= 2.0 * least_gain:  # also where it is no number
-            return None, damping
+    inner[np.diag_indices_from(inner)] += min(_RIDGE, 10.0 * least_gain)
+    step = np.zeros(len(gradient))
+    step[free] = -np.linalg.solve(inner, gradient[free])
+    while (slope := float(gradient @ step)) <= -2.0 * least_gain:  # not where it is no number
         logs = np.clip(at.logs + np.clip(step, -_STEP, _STEP), bounds.least, bounds.most)
         tried = at.model.solve(logs, seen)
-        if _cost(tried) < _cost(at):
-            return tried, damping
-        damping = max(6.0 * damping, 1e-2)
+        rise = _cost(tried) - _cost(at)
+        if rise < 0.0:
+            return tried
+        step *= np.clip(0.5 * slope / (slope - rise), *_SHORTER)
+    return None
 
 
 def draw_sizes(at: SolvedModel, n: int, rng: np.random.Generator) -> FloatArray:

@@ -9,7 +9,9 @@ s = 1 where rows say nothing (chung2013).
 Search. Newton's steps on the logarithms of the sizes use the average information (`calib.core.numerics.mixed_model`),
 which is positive, plus the curvature of the prior. A step that does not lower the cost is shortened, to the minimum of
 a parabola along it, and tried again. The one start has families half as large as expected, and noise and scatter each a
-part of the residuals that flat columns leave. A size falls to no less than its bound, which is as good as zero.
+part of the residuals that flat columns leave. A size falls to no less than its bound, which is as good as zero. There
+the cost has no slope by the logarithm. So where a search ends, sizes that are zero are raised to the value that the
+slope by s^2 suggests, if it promises a lower cost, and the search goes on.
 
 Draws. The likelihood is even in every size s: an absent family has its maximum at s = 0, where log s has no scale. So
 the posterior is approximated by a normal one in s itself, and drawn sizes are made positive. With I Fisher's
@@ -100,8 +102,18 @@ def likeliest_sizes(
         none[: len(absent)] = absent
         bounds = replace(bounds, least=np.where(none, -np.inf, bounds.least))
     begin = np.clip(bounds.first if start is None else start, bounds.least, bounds.most)
-    at = model.solve(np.where(none, bounds.least, begin))
-    gain = np.inf
+    at = _descend(model.solve(np.where(none, bounds.least, begin)), bounds, none, least_gain)
+    while (raised := _raised(at, bounds, none, least_gain)) is not None:
+        again = _descend(model.solve(raised), bounds, none, least_gain)
+        if not _cost(again) < _cost(at) - least_gain:
+            break
+        at = again
+    return at
+
+
+def _descend(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: float) -> SolvedModel:
+    """Solved model with the lowest cost that steps from `at` reach; sizes with the mask `none` (n_sizes,) stay."""
+    model, gain = at.model, np.inf
     for _ in range(_ROUNDS):
         _, slope, curvature = _prior(at)
         gradient = at.gradient + slope
@@ -121,6 +133,22 @@ def likeliest_sizes(
     falling[model.n_families : model.n_families + len(model.unstated_groups)] = False  # noise is never zero
     without = model.solve(np.where(falling, bounds.least, at.logs)) if np.any(falling) else at
     return without if _cost(without) <= _cost(at) else at
+
+
+def _raised(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: float) -> FloatArray | None:
+    """Logarithms of the sizes, those raised from zero that promise a lower cost, (n_sizes,); None if none does."""
+    n = at.model.n_families
+    zero = np.flatnonzero((at.logs[:n] <= bounds.least[:n] + _AT_BOUND) & ~none[:n])
+    if not len(zero):
+        return None
+    slope, information = at.slope_at_zero(zero)
+    slope += 1.0  # of the prior
+    rises = (slope < 0.0) & (slope**2 > 4.0 * least_gain * information)
+    if not np.any(rises):
+        return None
+    raised, logs = zero[rises], at.logs.copy()
+    logs[raised] = np.minimum(0.5 * np.log(-slope[rises] / information[rises]), bounds.first[raised])
+    return logs
 
 
 def find_sizes(

@@ -286,6 +286,7 @@ def least_sizes(model: MixedModel) -> FloatArray:
 
 def information_by_size(at: SolvedModel) -> FloatArray:
     """Return the information of the sizes themselves by the module docstring, (n_sizes, n_sizes)."""
+    at = at.model.solve(at.logs, np.arange(len(at.scale)))  # with components that larger sizes would show
     sizes, n = np.exp(at.logs), at.model.n_families
     information = at.information / np.outer(sizes, sizes)
     more = np.maximum(at.gradient, 0.0) / sizes**2

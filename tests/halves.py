@@ -55,7 +55,7 @@ def halves(robot: calib.Robot, data: Measurements, how: str, rng: np.random.Gene
 
 
 def predicted(fit: calib.Calibration, data: Measurements) -> tuple[FloatArray, float, float, dict[str, FloatArray]]:
-    """Return positions (n, 3), their variance by noise alone, the same as claimed, and the errors left to priors.
+    """Return positions (n, 3), their variance without blocks left out, as claimed, and the errors left to priors.
 
     The variances are means over positions. The errors left to priors are columns (3 n,), one for each parameter.
     """
@@ -75,7 +75,7 @@ def predicted(fit: calib.Calibration, data: Measurements) -> tuple[FloatArray, f
 
 
 def apart(robot: calib.Robot, data: Measurements, how: str, rng: np.random.Generator) -> FloatArray:
-    """Return mean squares: how far both predictions are apart, how far by noise, and how far as claimed, (3,) [m^2]."""
+    """Return mean squares, (3,) [m^2]: how far predictions are apart, as claimed without blocks left out, and with."""
     fits = [calib.fit(robot, data[half], terms=WAYS[how]) for half in halves(robot, data, how, rng)]
     (points, *variances, by_prior), (others, *more, by_other) = (predicted(fit, data) for fit in fits)
     nothing, names = np.zeros(points.size), dict.fromkeys([*by_prior, *by_other])
@@ -100,7 +100,7 @@ def main() -> None:
             rows.append([f"{name}, {how}", n_draws, f"{seen:.3f}", f"{seen / noise:.2f}", f"{seen / claimed:.2f}"])
             print(*rows[-1], sep=" | ", flush=True)
     if options.page:
-        head = ["robot, halves", "pairs", "apart [mm]", "apart / by noise", "apart / as claimed"]
+        head = ["robot, halves", "pairs", "apart [mm]", "apart / claimed without blocks left out", "apart / as claimed"]
         written(PAGE, "halves", markdown(head, rows))
 
 

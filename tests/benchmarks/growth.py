@@ -1,4 +1,4 @@
-"""How processor time grows with rows, targets, unknowns, candidates and draws.
+"""How processor time grows with rows, targets, unknowns, joints, candidates and draws.
 
     python -m tests.benchmarks.growth [--data FOLDER]
 
@@ -18,7 +18,7 @@ import calib
 from calib.core.robots.acceleration import compile_kinematics
 from medrue import robot_file
 from medrue.workspace import target_workspace
-from tests.benchmarks import evaluations
+from tests.benchmarks import evaluations, many_joints
 from tests.benchmarks.timing import least, print_table
 
 SIGMA = 4e-5
@@ -82,6 +82,17 @@ def unknowns():
     return Growth("fit and verdict, MedRUE, 84 poses", "unknowns", (len(plain.values), len(robot.values)), each)
 
 
+def joints():
+    """A fit of a simulated chain with joint terms chosen, with more joints."""
+
+    def fit(n):
+        robot = many_joints.chain(n, np.random.default_rng(7))
+        data = many_joints.measured(robot, 400, np.random.default_rng(3))
+        return lambda: calib.fit(robot, data, terms="auto").verdict
+
+    return Growth("fit and verdict with `--terms auto`, chain, 400 poses", "joints", (6, 18), (fit(6), fit(18)))
+
+
 def candidates():
     """A selection among more poses."""
     robot, q = calib.load(robot_file()), np.array(target_workspace().q)
@@ -102,14 +113,22 @@ def terms(folder):
     """A fit of the UR10 with joint terms chosen, with more poses."""
     robot, data = evaluations.ur10(folder / "ur10_tracker", 1200)
     each = tuple(lambda n=n: calib.fit(robot, data[np.arange(n)], terms="auto").verdict for n in (300, 1200))
-    return Growth("fit with `--terms auto`, UR10", "poses", (300, 1200), each)
+    return Growth("fit and verdict with `--terms auto`, UR10", "poses", (300, 1200), each)
 
 
 def table(folder, rounds):
     """Lines of the table."""
     yield "| work | growing | from | to | times as long | slope |"
     yield "|---|---|---:|---:|---:|---:|"
-    for growth in (rows(), targets(), unknowns(), candidates(), draws(), *([terms(folder)] if folder else [])):
+    for growth in (
+        rows(),
+        targets(),
+        unknowns(),
+        joints(),
+        candidates(),
+        draws(),
+        *([terms(folder)] if folder else []),
+    ):
         with compile_kinematics(use=False):
             taken = least(rounds, few=growth.each[0], many=growth.each[1])
         (few, many), ratio = growth.sizes, taken["many"] / taken["few"]

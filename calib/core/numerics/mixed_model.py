@@ -35,6 +35,9 @@ logarithms of sizes, w_i = d log V_i / d(log size), are
 A search of the sizes steps by the mean of Fisher's information and the second derivative of -log L, which needs no
 products of matrices (gilmour1995): with M the derivatives dW Q y, 1/2 M^T Q M.
 
+At s_f = 0 the derivative of -log L by s_f^2 is 1/2 the sum of q_c - (x_c . V^-1 r)^2 over the columns of f, with q_c =
+x_c . Q x_c, and Fisher's information is 1/2 the sum of q_c^2 or, where columns of f look alike, more.
+
 With A = R^T R and B = V^-1/2 Z R^-1, h_i is |B_i|^2, and tr(K A^-1 K' A^-1) the product of B^T w B and B^T w' B.
 
 Components. Columns of a family are replaced by their principal components, and flat ones by orthonormal columns of the
@@ -70,7 +73,7 @@ from calib.core.numerics.identifiability import inverse_of_triangle, reduce_rows
 from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows, coefficients_of
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
-_LEAST_EFFECT = 0.02  # a solution omits a coefficient that moves all rows together by less than this part of the noise
+_LEAST_EFFECT = 0.1  # a solution omits a coefficient that moves all rows together by less than this part of the noise
 _LOST = 1e-8  # with pivots below this part of the diagonal, products of rows have lost what a QR factor of rows keeps
 
 
@@ -123,10 +126,6 @@ class MixedModel(ReadOnlyArrays):
         return np.flatnonzero(~self.rows.has_stated_noise)
 
     @cached_property
-    def _lengths(self) -> FloatArray:
-        return np.linalg.norm(self.x, axis=0)
-
-    @cached_property
     def has_prior(self) -> FloatArray:
         """Diagonal of P, (n,)."""
         return np.where(self.family == FLAT, 0.0, 1.0)
@@ -152,7 +151,8 @@ class MixedModel(ReadOnlyArrays):
         variance = noise[self.rows.group] ** 2 + scatter**2 * self.spread
         scale = np.append(families, [1.0, 1.0])[self.family]  # the appended entries are for families -2 and -1
         if seen is None:
-            seen = np.flatnonzero((self.family < 0) | (scale * self._lengths > _LEAST_EFFECT))
+            squares = scale**2 * np.einsum("ij,ij,i->j", self.x, self.x, 1.0 / variance)
+            seen = np.flatnonzero((self.family < 0) | (squares > _LEAST_EFFECT**2))
         root = np.sqrt(variance)
         z, y = self.whiten_columns(seen, scale, variance), self.y / root
         prior = self.has_prior[seen]
@@ -307,6 +307,15 @@ class SolvedModel(ReadOnlyArrays):
         moved = np.hstack([families, (self._shares * self.whitened_residuals).T])
         seen = scipy.linalg.solve_triangular(self.upper, z.T @ moved, trans=1, check_finite=False)
         return 0.5 * (moved.T @ moved - seen.T @ seen)
+
+    def slope_at_zero(self, families: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the derivative of `cost` by s^2 of families (k,) whose size is 0, and its information, (k,) each."""
+        columns = np.flatnonzero(np.isin(self.model.family, families))
+        z = self.model.whiten_columns(columns, np.ones(len(self.scale)), self.variance)
+        seen = scipy.linalg.solve_triangular(self.upper, self.z.T @ z, trans=1, check_finite=False)
+        left = np.einsum("ij,ij->j", z, z) - np.einsum("ij,ij->j", seen, seen)
+        members = 0.5 * (self.model.family[columns] == families[:, None])
+        return members @ (left - (z.T @ self.whitened_residuals) ** 2), members @ left**2
 
     @property
     def scatter_of_residuals(self) -> float:

@@ -7,9 +7,11 @@ largest density of log s counts, s / (1 + s^2) times the likelihood: it is never
 s = 1 where rows say nothing (chung2013).
 
 Search. Newton's steps on the logarithms of the sizes use the average information (`calib.core.numerics.mixed_model`),
-which is positive, plus the curvature of the prior. A step that does not lower the cost is damped (Levenberg, Marquardt)
-and tried again. The one start has families half as large as expected, and noise and scatter each a part of the
-residuals that flat columns leave. A size falls to no less than its bound, which is as good as zero.
+which is positive, plus the curvature of the prior. A step that does not lower the cost is shortened, to the minimum of
+a parabola along it, and tried again. The one start has families half as large as expected, and noise and scatter each a
+part of the residuals that flat columns leave. A size falls to no less than its bound, which is as good as zero. There
+the cost has no slope by the logarithm. So where a search ends, sizes that are zero are raised to the value that the
+slope by s^2 suggests, if it promises a lower cost, and the search goes on.
 
 Draws. The likelihood is even in every size s: an absent family has its maximum at s = 0, where log s has no scale. So
 the posterior is approximated by a normal one in s itself, and drawn sizes are made positive. With I Fisher's
@@ -74,6 +76,7 @@ _OTHERS = 3.0  # difference of logarithms between the largest noise and what the
 _LEAST_FREEDOM = 1e-6  # of a group whose rows flat columns explain but for rounding
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
+_SHORTER = 0.1, 0.5  # limits of the factor by which a step is shortened
 _CONVERGED = 0.03  # last step of the logarithm of a noise
 _FLAT_COST = 1e-6  # largest slope of a cost that no longer falls
 _GAIN = 5e-4  # least fall of the cost for which a search continues, if not given
@@ -99,8 +102,18 @@ def likeliest_sizes(
         none[: len(absent)] = absent
         bounds = replace(bounds, least=np.where(none, -np.inf, bounds.least))
     begin = np.clip(bounds.first if start is None else start, bounds.least, bounds.most)
-    at = model.solve(np.where(none, bounds.least, begin))
-    damping, gain = 1e-3, np.inf
+    at = _descend(model.solve(np.where(none, bounds.least, begin)), bounds, none, least_gain)
+    while (raised := _raised(at, bounds, none, least_gain)) is not None:
+        again = _descend(model.solve(raised), bounds, none, least_gain)
+        if not _cost(again) < _cost(at) - least_gain:
+            break
+        at = again
+    return at
+
+
+def _descend(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: float) -> SolvedModel:
+    """Solved model with the lowest cost that steps from `at` reach; sizes with the mask `none` (n_sizes,) stay."""
+    model, gain = at.model, np.inf
     for _ in range(_ROUNDS):
         _, slope, curvature = _prior(at)
         gradient = at.gradient + slope
@@ -109,18 +122,33 @@ def likeliest_sizes(
             break
         information = at.average_information + np.diag(curvature)
         seen = at.seen if gain < _NEAR else None  # the cost is not smooth where these change
-        better, damping = _try_step(at, gradient, information, free, bounds, damping, least_gain, seen)
+        better = _take_step(at, gradient, information, free, bounds, least_gain, seen)
         if better is None:
             break
         gain = _cost(at) - _cost(better)
         at = better
         if gain < least_gain:
             break
-        damping *= 0.3
     falling = (at.gradient + _prior(at)[1] > 0.0) & (at.logs < bounds.first + np.log(_SMALL)) & ~none
     falling[model.n_families : model.n_families + len(model.unstated_groups)] = False  # noise is never zero
     without = model.solve(np.where(falling, bounds.least, at.logs)) if np.any(falling) else at
     return without if _cost(without) <= _cost(at) else at
+
+
+def _raised(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: float) -> FloatArray | None:
+    """Logarithms of the sizes, those raised from zero that promise a lower cost, (n_sizes,); None if none does."""
+    n = at.model.n_families
+    zero = np.flatnonzero((at.logs[:n] <= bounds.least[:n] + _AT_BOUND) & ~none[:n])
+    if not len(zero):
+        return None
+    slope, information = at.slope_at_zero(zero)
+    slope += 1.0  # of the prior
+    rises = (slope < 0.0) & (slope**2 > 4.0 * least_gain * information)
+    if not np.any(rises):
+        return None
+    raised, logs = zero[rises], at.logs.copy()
+    logs[raised] = np.minimum(0.5 * np.log(-slope[rises] / information[rises]), bounds.first[raised])
+    return logs
 
 
 def find_sizes(
@@ -219,29 +247,28 @@ def _mean_beyond(value: float, variance: float) -> float:
     return std * float(np.exp(-0.5 * (value / std) ** 2) / np.sqrt(2.0 * np.pi) / scipy.special.ndtr(value / std))
 
 
-def _try_step(
+def _take_step(
     at: SolvedModel,
     gradient: FloatArray,
     information: FloatArray,
     free: BoolArray,
     bounds: _Bounds,
-    damping: float,
     least_gain: float,
     seen: IntArray | None,
-) -> tuple[SolvedModel | None, float]:
-    """Solved model after a step that lowers the cost, and its damping; None if no step promises enough."""
+) -> SolvedModel | None:
+    """Solved model after a step of the free sizes that lowers the cost; None if no step promises enough."""
     inner = information[np.ix_(free, free)]
-    while True:
-        step = np.zeros(len(gradient))
-        damped = inner + np.diag(damping * np.diag(inner) + min(_RIDGE, 10.0 * least_gain))
-        step[free] = -np.linalg.solve(damped, gradient[free])
-        if not -gradient @ step >= 2.0 * least_gain:  # also where it is no number
-            return None, damping
+    inner[np.diag_indices_from(inner)] += min(_RIDGE, 10.0 * least_gain)
+    step = np.zeros(len(gradient))
+    step[free] = -np.linalg.solve(inner, gradient[free])
+    while (slope := float(gradient @ step)) <= -2.0 * least_gain:  # not where it is no number
         logs = np.clip(at.logs + np.clip(step, -_STEP, _STEP), bounds.least, bounds.most)
         tried = at.model.solve(logs, seen)
-        if _cost(tried) < _cost(at):
-            return tried, damping
-        damping = max(6.0 * damping, 1e-2)
+        rise = _cost(tried) - _cost(at)
+        if rise < 0.0:
+            return tried
+        step *= np.clip(0.5 * slope / (slope - rise), *_SHORTER)
+    return None
 
 
 def draw_sizes(at: SolvedModel, n: int, rng: np.random.Generator) -> FloatArray:
@@ -259,6 +286,7 @@ def least_sizes(model: MixedModel) -> FloatArray:
 
 def information_by_size(at: SolvedModel) -> FloatArray:
     """Return the information of the sizes themselves by the module docstring, (n_sizes, n_sizes)."""
+    at = at.model.solve(at.logs, np.arange(len(at.scale)))  # with components that larger sizes would show
     sizes, n = np.exp(at.logs), at.model.n_families
     information = at.information / np.outer(sizes, sizes)
     more = np.maximum(at.gradient, 0.0) / sizes**2

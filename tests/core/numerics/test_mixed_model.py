@@ -219,6 +219,30 @@ def test_an_absent_family_ends_at_its_bound_where_the_noise_is_a_small_part_of_t
     assert likeliest_sizes(model).logs[1] == least_sizes(model)[1]
 
 
+def test_a_search_leaves_a_size_of_zero_where_the_rows_show_the_family():
+    rng = np.random.default_rng(11)
+    columns = rng.normal(size=(60, 13))
+    values = columns[:, :8] @ rng.normal(size=8) + 0.5 * rng.standard_normal(60)
+    model = MixedModel.from_rows(of_one_group(columns, values, [0] * 8 + [1] * 4 + [FLAT]))
+    free, least = likeliest_sizes(model), least_sizes(model)
+    begun = likeliest_sizes(model, np.append(least[:2], free.logs[2] + 1.0))
+    assert free.logs[0] > -1.0
+    np.testing.assert_allclose(begun.logs[[0, 2]], free.logs[[0, 2]], atol=0.03)
+
+
+def test_the_slope_at_zero_is_that_of_the_cost_by_the_square_of_a_size(small):
+    model, zero, square = MixedModel.from_rows(small), LOGS.copy(), 1e-4
+    zero[:2] = -np.inf
+    slope, information = model.solve(zero).slope_at_zero(np.arange(2))
+    for k in range(2):
+        logs = zero.copy()
+        logs[k] = 0.5 * np.log(square)
+        seen = np.flatnonzero(np.isin(model.family, [k, FLAT, KNOWN]))
+        rise = model.solve(logs, seen).cost - model.solve(zero).cost
+        assert slope[k] == pytest.approx(rise / square, rel=0.02)
+    assert np.all(information > 0.0)
+
+
 def test_noise_and_scatter_are_told_apart_by_directions_that_joints_do_not_move():
     """Mean over sets; each is off by about a tenth."""
     found = []

@@ -117,7 +117,7 @@ class _TermModel:
         self._requested_kinds = frozenset(map(str, self._terms))
         # divided by the noise that the fit found: stated noise contains no errors of the robot
         self._rows = self._kind_model.rows(read, fit.scales, np.zeros(len(fit.scales), dtype=bool))
-        self._solved_model = likeliest_sizes(MixedModel.from_rows(self._rows))
+        self._solved_model = likeliest_sizes(MixedModel.from_rows(self._rows), least_gain=_ROUGH)
         self._smallest_logs = least_sizes(self._solved_model.model)  # as good as zero
         self._solved = {self._requested_kinds: self._solved_model}
         self._left_out = dict[frozenset[str], FloatArray]()

@@ -242,6 +242,13 @@ def test_columns_are_the_cells_of_the_rows(tmp_path):
     np.testing.assert_array_equal(table.column("x", None), np.arange(900) + 0.5)
 
 
+def test_the_text_of_a_column_keeps_no_memory_of_the_other_cells(table_of):
+    """Python takes the memory of many short texts in blocks, which one text of each keeps."""
+    table = table_of("pose,q1\nfirst,0.5\nsecond,0.25\n")
+    assert table.text("pose") == ["first", "second"]
+    assert all(text is not cells[0] for text, cells in zip(table.text("pose"), table.rows, strict=True))
+
+
 def test_cells_of_an_array_without_a_number_are_empty():
     assert format_table([("x", np.array([1.5, np.nan, -np.inf])), ("n", ["a", "#b", 3])]) == "x,n\n1.5,a\n,#b\n,3\n"
 

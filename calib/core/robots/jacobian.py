@@ -198,7 +198,7 @@ def derivative_by_parameters(
     filled = int(np.sum(index < first))
     if filled == len(index):
         every = filled > 0 and index[-1] - index[0] == filled - 1
-        return derivative[:, :, index[0] : index[-1] + 1] if every else derivative[:, :, index]
+        return derivative[:, :, index[0] : index[-1] + 1] if every else derivative.take(index, axis=2)
     result = np.empty((*derivative.shape[:2], len(index)))  # filled in place: there may be hundreds of coefficients
     result[:, :, :filled] = derivative[:, :, index[:filled]]
     for term, phi in zip(robot.terms, columns, strict=True):

@@ -70,16 +70,17 @@ class Whitening:
         Returns:
             A new array, (n_all_rows,) or (n_all_rows, k).
         """
-        parts = []
+        rows = np.empty((self.layout.n_rows, *arrays[self._names[0]].shape[2:]))
         for name in self._names:
-            array, inverse = arrays[name], self._inverse[name]
+            inverse, own = self._inverse[name], rows[self.layout.rows_of(name)]
+            shape = (*inverse.shape[:2], *(rows.shape[1:] or (1,)))
+            array, own = arrays[name].reshape(shape), own.reshape(shape)
             array = np.nan_to_num(array) if np.isnan(array).any() else array
             if inverse.ndim == 2:  # no correlations
-                whitened = array * (inverse if array.ndim == 2 else inverse[:, :, None])
+                np.multiply(array, inverse[:, :, None], out=own)
             else:
-                whitened = np.matmul(inverse, array if array.ndim == 3 else array[:, :, None])
-            parts.append(whitened.reshape(-1, *array.shape[2:]))
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+                np.matmul(inverse, array, out=own)
+        return rows
 
     def whiten(self, arrays: Mapping[str, FloatArray], groups: FloatArray) -> FloatArray:
         """Whiten arrays as `flatten` does, and divide them by the scales of the groups, (n_groups,)."""

@@ -15,7 +15,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.fitting.error_sets import ErrorSet, Residuals
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
-from calib.core.numerics.identifiability import Rank, extend_reduced
+from calib.core.numerics.identifiability import Rank, reduce_rows
 from calib.core.numerics.losses import Loss
 from calib.core.numerics.observability import observability
 from calib.core.numerics.statistics import ChiSquare, Statistics, chi_square
@@ -149,12 +149,10 @@ class SolvedFit(ReadOnlyArrays):
     @cached_property
     def observability(self) -> dict[str, float]:
         """O1 to O5 on scaled columns, without those of families: priors decide which of their rows count."""
-        columns = self.unknowns.family < 0
         units = self.scales * [group.typical if group.stated else 1.0 for group in self.whitening.groups]
-        factor, scale = np.zeros((0, np.count_nonzero(columns))), self.whitening.row_scale(units)[:, None]
-        for part in slices(len(scale)):
-            factor = extend_reduced(factor, self.rows.jacobian[part, columns] * scale[part])
-        values = linalg.singular_values(factor)
+        columns, scale = self.unknowns.family < 0, self.whitening.row_scale(units)[:, None]
+        few = [reduce_rows(self.rows.jacobian[part, columns] * scale[part]) for part in slices(len(scale))]
+        values = linalg.singular_values(np.vstack(few))
         return observability(values[: self.rank.rank], len(self.identification.data))
 
     @cached_property

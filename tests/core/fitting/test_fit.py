@@ -227,3 +227,14 @@ def test_a_fit_keeps_no_derivative_but_that_of_its_rows(arm):
     kept = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     assert kept < 2.7 * made.rows.jacobian.nbytes
+
+
+def test_observability_copies_a_part_of_the_rows_at_a_time(arm):
+    made = calib.fit(arm, calib.simulate(arm, arm.sample(6000, seed=1), 4e-5, 2), sigma=4e-5)
+    tracemalloc.start()
+    indices = made.observability
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2.0 * made.rows.jacobian.nbytes  # two copies of half of the rows, and their factors
+    values = np.linalg.svd(4e-5 * made.rows.jacobian, compute_uv=False)
+    assert indices["O3"] == pytest.approx(values[-1], rel=1e-6)

@@ -28,6 +28,7 @@ from calib.core.robots.joint_errors import driven_by
 from calib.core.robots.mechanism import Mechanism, RelativeFrame
 from calib.core.robots.robot import Robot
 
+_CHUNK_COPIED = 1 << 12  # chosen columns are copied twice
 _CHUNK_COMPILED = 256  # several times the number that compiled code computes at once; larger arrays need new pages
 
 
@@ -208,7 +209,8 @@ def derivative_by_parameters(
     if filled == len(index) and filled > 0 and places[-1] - places[0] == filled - 1:
         return derivative[:, :, places[0] : places[-1] + 1]
     result = np.empty((*derivative.shape[:2], len(index))) if out is None else out
-    result[:, :, :filled] = derivative[:, :, places]
+    for some in kinematics.chunks(len(result), _CHUNK_COPIED):
+        result[some, :, :filled] = derivative[some, :, places]
     for term, phi in zip(robot.terms, columns, strict=True):
         own = index[(index >= first) & (index < first + phi.shape[2])] - first
         first += phi.shape[2]

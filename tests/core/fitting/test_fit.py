@@ -205,6 +205,18 @@ def test_stating_a_small_noise_keeps_a_fit_of_real_measurements_converged(shared
     assert fit.convergence.step_left < 1e-3  # standard deviations; it stops at 1e-5 to 1e-8
 
 
+def test_a_fit_that_needs_no_ranks_of_held_parameters_differentiates_by_the_free_ones_alone(robot, data):
+    some = robot.with_terms(missing_terms(robot, parse_terms("gain"))).fix(*(p.name for p in robot.parameters[1:20:3]))
+    every = Problem.from_data(some, data)
+    start = place(every).robot
+    ends = [
+        problem.solve(problem.evaluate(start), np.ones(1))[0] for problem in (every, replace(every, free_alone=True))
+    ]
+    np.testing.assert_allclose(ends[1].robot.values, ends[0].robot.values, rtol=0.0, atol=1e-9)
+    widths = [next(iter(end.observed.values())).derivative.shape[2] for end in ends]
+    assert widths[0] - widths[1] == np.count_nonzero(~some.is_free)
+
+
 def test_places_are_taken_over_from_a_robot_that_moves_alike_and_from_no_other(robot, data):
     placed = place(Problem.from_data(robot, data))
     known = placed.robot, placed.residuals

@@ -47,7 +47,7 @@ class Evaluation:
 
     Attributes:
         readings: Readings of each instrument, by name.
-        by: Numbers of the parameters that the readings are differentiated by; all if not given.
+        by: Numbers of the parameters that the readings are differentiated by, (k,); all if not given.
         factors: Cache of `Problem.compressed`: unknowns, and the triangular factor of each group's rows for them.
         whitened: Cache of `Problem.rows`: scales of the groups, unknowns, and the derivative of the rows by these.
     """

@@ -82,7 +82,7 @@ def observe(
     Args:
         readings: Readings of each instrument, by name; visits are indices into the configurations.
         joints: Whether to include derivatives by the actuated joints.
-        by: Numbers of the parameters to take derivatives by, in rising order; all if not given.
+        by: Numbers of the parameters to take derivatives by, in rising order, (k,); all if not given.
     """
     mechanism, twists, first = robot.mechanism, motion_twists(robot, joints=joints), robot.coefficients.start
     by = np.arange(first) if by is None else by[by < first]

@@ -18,6 +18,7 @@ from calib.core.base.letters import visible
 
 _JSON = TypeAdapter(list[float])
 _LEAST_PLAIN, _BEYOND_PLAIN = 1e-4, 1e16  # where `repr` writes no exponent
+_ROWS = 1 << 12  # formatted together
 _NEEDS_QUOTES = re.compile(r'[,"\r\n]')
 _NUMBER = re.compile(r"[-+]?(\d+(?:\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _FORMULA = re.compile(r"'*[=+\-@\uff1d\uff0b\uff0d\uff20]")  # the last four: of full width
@@ -44,11 +45,11 @@ def format_table(columns: Written, comments: Sequence[str] = ()) -> str:
     """
     lines = ["# " + _FORMULA_IN_COMMENT.sub(r"\1 ", visible(comment)) for comment in comments]
     lines.append(",".join([_quote_text(header) for header, _ in columns]))
-    cells = [_format_cells(values) for _, values in columns]
-    if cells:  # no line is empty, and none is a comment
-        cells[0] = [f'"{cell}"' if cell.lstrip().startswith("#") else cell for cell in cells[0]]
-        cells[0] = [cell or '""' for cell in cells[0]] if len(cells) == 1 else cells[0]
-    lines += map(",".join, zip(*cells, strict=True))
+    for start in range(0, max((len(values) for _, values in columns), default=0), _ROWS):  # few cells at a time
+        cells = [_format_cells(values[start : start + _ROWS]) for _, values in columns]
+        cells[0] = [f'"{cell}"' if cell.lstrip().startswith("#") else cell for cell in cells[0]]  # no comment
+        cells[0] = [cell or '""' for cell in cells[0]] if len(cells) == 1 else cells[0]  # no empty line
+        lines += map(",".join, zip(*cells, strict=True))
     return "\n".join(lines) + "\n"
 
 

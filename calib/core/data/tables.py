@@ -153,7 +153,7 @@ class Table:
         if unseen("".join(texts)):
             row, problem = next((row, problem) for row, text in enumerate(texts) if (problem := unseen(text)))
             raise DataError(f"{self._where(row, index)}: {problem}")
-        return texts
+        return "\n".join(texts).split("\n") if texts else []  # new: text among the cells would keep all their memory
 
     def _numbers(self, index: int, *, gaps: bool) -> FloatArray:
         if self.separator != ",":

@@ -139,6 +139,7 @@ def minimum_of(
     check_measurements(seen, data)
     nearby = nearby or WarmStart()
     problem = Problem.from_data(seen, data, settings.sigma, nearby.passive_at(data.joints), nearby.whitening)
+    problem = replace(problem, free_alone=nearby.free_alone)
     start = None if nearby.placed is None else reuse_placement(problem, *nearby.placed)
     start = start or place(problem)
     steps.advance()
@@ -269,5 +270,5 @@ def _errors_of(
     robot: Robot, data: Measurements, near: FloatArray | None = None
 ) -> tuple[dict[str, FloatArray], Configurations]:
     configurations = robot.assemble(data.joints, near, data.labels, data.conditions)
-    observed = observe(robot, configurations, data.readings)
+    observed = observe(robot, configurations, data.readings, derivatives=False)
     return {name: block.residuals for name, block in observed.items()}, configurations

@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays, hold
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.base.errors import ComputationError
 from calib.core.data.measurements import Measurements
 from calib.core.instruments.kind import Readings
@@ -47,6 +47,7 @@ class Evaluation:
 
     Attributes:
         readings: Readings of each instrument, by name.
+        by: Numbers of the parameters that the readings are differentiated by, (k,); all if not given.
         factors: Cache of `Problem.compressed`: unknowns, and the triangular factor of each group's rows for them.
         whitened: Cache of `Problem.rows`: scales of the groups, unknowns, and the derivative of the rows by these.
     """
@@ -54,13 +55,14 @@ class Evaluation:
     robot: Robot
     configurations: Configurations
     readings: Mapping[str, Readings]
+    by: IntArray | None = None
     factors: list[tuple[Unknowns, list[FloatArray]]] = field(default_factory=list)
     whitened: list[tuple[FloatArray, Unknowns, FloatArray]] = field(default_factory=list)
 
     @cached_property
     def observed(self) -> dict[str, Observed]:
         """Residuals and derivatives of each instrument, by name; those by joints take little more work."""
-        return observe(self.robot, self.configurations, self.readings, joints=True)
+        return observe(self.robot, self.configurations, self.readings, joints=True, by=self.by)
 
     @cached_property
     def residuals(self) -> dict[str, FloatArray]:
@@ -97,6 +99,7 @@ class Problem(ReadOnlyArrays):
         unknowns: The free parameters, with the sizes of families found so far.
         noise_found: Mask of the groups whose noise is found from the residuals, (n_groups,); at first those without
             stated noise.
+        free_alone: Whether readings are differentiated by the free parameters alone, not by held ones.
         limits: Whether a pose beyond the limits of a passive joint counts as open, also at trial steps.
     """
 
@@ -108,6 +111,7 @@ class Problem(ReadOnlyArrays):
     whitening: Whitening
     unknowns: Unknowns
     noise_found: BoolArray
+    free_alone: bool = False
     limits: bool = False
 
     @staticmethod
@@ -193,7 +197,8 @@ class Problem(ReadOnlyArrays):
     def _try_evaluate(self, robot: Robot, seed: FloatArray | None) -> Evaluation | None:
         columns = self._columns_of(robot)
         configurations = configurations_if_closed(robot, self.data.joints, seed, columns, limits=self.limits)
-        return None if configurations is None else Evaluation(robot, configurations, self.data.readings)
+        by = self.unknowns.index if self.free_alone else None
+        return None if configurations is None else Evaluation(robot, configurations, self.data.readings, by)
 
     def _columns_of(self, robot: Robot) -> tuple[FloatArray, ...]:
         """Phi of the joint terms, which changes with the parameters only where gravity's direction is fitted."""

@@ -19,7 +19,7 @@ from calib.core.numerics.identifiability import Rank, reduce_rows
 from calib.core.numerics.losses import Loss
 from calib.core.numerics.observability import observability
 from calib.core.numerics.statistics import ChiSquare, Statistics, chi_square
-from calib.core.numerics.tall import Span
+from calib.core.numerics.tall import Span, slices
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.loops import carries_home
 from calib.core.robots.robot import Robot
@@ -150,8 +150,9 @@ class SolvedFit(ReadOnlyArrays):
     def observability(self) -> dict[str, float]:
         """O1 to O5 on scaled columns, without those of families: priors decide which of their rows count."""
         units = self.scales * [group.typical if group.stated else 1.0 for group in self.whitening.groups]
-        columns = self.rows.jacobian[:, self.unknowns.family < 0] * self.whitening.row_scale(units)[:, None]
-        values = linalg.singular_values(reduce_rows(columns))
+        columns, scale = self.unknowns.family < 0, self.whitening.row_scale(units)[:, None]
+        few = [reduce_rows(self.rows.jacobian[part, columns] * scale[part]) for part in slices(len(scale))]
+        values = linalg.singular_values(np.vstack(few))
         return observability(values[: self.rank.rank], len(self.identification.data))
 
     @cached_property

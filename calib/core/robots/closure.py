@@ -102,7 +102,7 @@ def motion(
 def scale_closure(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
     """Return C_p, (n, n_rows, n_passive), with metres over the characteristic length: pure numbers."""
     rows = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
-    return slope_passive * rows[:, None] * mechanism.passive_scale
+    return slope_passive * (rows[:, None] * mechanism.passive_scale)
 
 
 def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:

@@ -28,6 +28,7 @@ from calib.core.robots.joint_errors import driven_by
 from calib.core.robots.mechanism import Mechanism, RelativeFrame
 from calib.core.robots.robot import Robot
 
+_CHUNK_COPIED = 1 << 12  # chosen columns are copied twice
 _CHUNK_COMPILED = 256  # several times the number that compiled code computes at once; larger arrays need new pages
 
 
@@ -63,8 +64,8 @@ def linearise(
             positions[part, t] = kinematics.value(swept, target)
         relative_motion(mechanism, swept, targets, twists, angular=turns, out=both[part])
     rows, every = both.reshape(n, n_targets * n_rows, width), np.arange(len(robot.parameters))
-    jacobian = derivative_by_parameters(robot, rows, configurations.term_columns, every)
     first = robot.coefficients.start
+    jacobian = derivative_by_parameters(robot, rows, every[:first], configurations.term_columns, every)
     by_joint = both[..., first : first + len(robot.joint_names)] if joints else None
     return Linearisation(positions, jacobian.reshape(n, n_targets, n_rows, len(every)), by_joint)
 
@@ -185,22 +186,31 @@ def motion_twists(robot: Robot, *, joints: bool = False) -> FloatArray:
 
 
 def derivative_by_parameters(
-    robot: Robot, derivative: FloatArray, columns: tuple[FloatArray, ...], index: IntArray
+    robot: Robot,
+    derivative: FloatArray,
+    by: IntArray,
+    columns: tuple[FloatArray, ...],
+    index: IntArray,
+    out: FloatArray | None = None,
 ) -> FloatArray:
     """Return the derivative by some of the parameters, (n, n_rows, n_index): a part of `derivative` itself, or new.
 
     Args:
-        derivative: By the parameters that are no coefficients, then by the driven joints, (n, n_rows, k + n_driven).
+        derivative: By parameters that are no coefficients, then by the driven joints, (n, n_rows, k + n_driven).
+        by: Numbers of these parameters, in rising order, (k,).
         columns: phi of each joint term (`columns_of_terms`), (n, n_moved, n_coefficients) each.
-        index: Numbers of the parameters, in rising order, (n_index,).
+        index: Numbers of the parameters, in rising order, (n_index,); coefficients, and some of `by`.
+        out: Array for a new result, if there is one.
     """
-    first = k = robot.coefficients.start
-    filled = int(np.sum(index < first))
-    if filled == len(index):
-        every = filled > 0 and index[-1] - index[0] == filled - 1
-        return derivative[:, :, index[0] : index[-1] + 1] if every else derivative[:, :, index]
-    result = np.empty((*derivative.shape[:2], len(index)))  # filled in place: there may be hundreds of coefficients
-    result[:, :, :filled] = derivative[:, :, index[:filled]]
+    first, k = robot.coefficients.start, len(by)
+    filled = int(index.searchsorted(first))
+    places = by.searchsorted(index[:filled])
+    assert (by[places] == index[:filled]).all()  # others are not in `derivative`
+    if filled == len(index) and filled > 0 and places[-1] - places[0] == filled - 1:
+        return derivative[:, :, places[0] : places[-1] + 1]
+    result = np.empty((*derivative.shape[:2], len(index))) if out is None else out
+    for some in kinematics.chunks(len(result), _CHUNK_COPIED):
+        result[some, :, :filled] = derivative[some, :, places]
     for term, phi in zip(robot.terms, columns, strict=True):
         own = index[(index >= first) & (index < first + phi.shape[2])] - first
         first += phi.shape[2]

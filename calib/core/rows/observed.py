@@ -37,19 +37,24 @@ class Observed:
 
     Attributes:
         residuals: Predicted minus read, (n, n_rows) [SI]; NaN where a component was not read.
-        derivative: Derivative of the residuals by the parameters that are no coefficients of joint terms, then by the
-            driven joints if requested, (n, n_rows, k + n_driven); (n, n_rows, 0) without derivatives.
+        by: Numbers of the parameters of `derivative`, which are no coefficients of joint terms, in rising order, (k,).
+        derivative: Derivative of the residuals by these, then by the driven joints if requested, (n, n_rows,
+            k + n_driven); (n, n_rows, 0) without derivatives.
         term_columns: phi of each joint term at each reading (`columns_of_terms`), (n, n_moved, n_coefficients) each.
     """
 
     robot: Robot
     residuals: FloatArray
+    by: IntArray
     derivative: FloatArray
     term_columns: tuple[FloatArray, ...]
 
-    def derivative_by(self, index: IntArray) -> FloatArray:
-        """Return the derivatives by some parameters, in rising order (k,), (n, n_rows, k); not to be changed."""
-        return derivative_by_parameters(self.robot, self.derivative, self.term_columns, index)
+    def derivative_by(self, index: IntArray, out: FloatArray | None = None) -> FloatArray:
+        """Return the derivatives by some parameters, in rising order (k,), (n, n_rows, k); not to be changed.
+
+        They are coefficients of joint terms, or in `by`. New numbers are in `out`, if it is given.
+        """
+        return derivative_by_parameters(self.robot, self.derivative, self.by, self.term_columns, index, out)
 
     @property
     def jacobian(self) -> FloatArray:
@@ -59,7 +64,7 @@ class Observed:
     @property
     def joint_derivative(self) -> FloatArray:
         """Derivative by the actuated joints, (n, n_rows, n_actuated); empty where not requested."""
-        k = self.robot.coefficients.start
+        k = len(self.by)
         return self.derivative[:, :, k : k + len(self.robot.joint_names)]
 
 
@@ -70,17 +75,22 @@ def observe(
     *,
     joints: bool = False,
     derivatives: bool = True,
+    by: IntArray | None = None,
 ) -> dict[str, Observed]:
     """Compare readings with those that the robot predicts.
 
     Args:
         readings: Readings of each instrument, by name; visits are indices into the configurations.
         joints: Whether to include derivatives by the actuated joints.
+        by: Numbers of the parameters to take derivatives by, in rising order, (k,); all if not given.
     """
-    mechanism, twists = robot.mechanism, motion_twists(robot, joints=joints)
+    mechanism, twists, first = robot.mechanism, motion_twists(robot, joints=joints), robot.coefficients.start
+    by = np.arange(first) if by is None else by[by < first]
+    if len(by) < first:
+        twists = np.hstack([twists[:, by], twists[:, first:]])
     width = twists.shape[1] if derivatives else 0
     own = [instrument for instrument in robot.instruments if instrument.name in readings]
-    works = [_Work(robot, instrument, readings[instrument.name], width) for instrument in own]
+    works = [_Work(robot, instrument, readings[instrument.name], by, width) for instrument in own]
     pairs = tuple(dict.fromkeys(pair for work in works for pair in work.pairs))
     for part, swept in sweeps(mechanism, configurations, pairs):
         for work in works:
@@ -91,12 +101,14 @@ def observe(
 class _Work:
     """Fills the arrays of one instrument, chunk by chunk of visits."""
 
-    def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, width: int) -> None:
-        self.robot, self.instrument, self.readings = robot, instrument, readings
+    def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, by: IntArray, width: int) -> None:
+        self.robot, self.instrument, self.readings, self._by = robot, instrument, readings, by
         self.all_pairs, self._unknowns = robot.pairs[instrument.name], robot.unknowns[instrument.name]
         self._numbers: list[int] = np.unique(readings.pairs).tolist()
         self.pairs = tuple(self.all_pairs[k] for k in self._numbers) if self.all_pairs else ()
-        self._by_joint, shape = robot.coefficients.start, (len(readings.visits), instrument.n_rows)  # columns by joints
+        shape = len(readings.visits), instrument.n_rows
+        first, last = by.searchsorted((self._unknowns.start, self._unknowns.stop)).tolist()
+        self._own_columns, self._observed = slice(first, last), by[first:last] - self._unknowns.start
         self._residuals, self._columns = np.empty(shape), np.empty((*shape, width))  # each is filled once
         self._order = np.argsort(readings.visits, kind="stable")
         self._sorted = readings.visits[self._order]
@@ -137,7 +149,7 @@ class _Work:
             if len(at) != len(motion) or np.any(at != np.arange(len(at))):
                 motion = motion[at]
             self._columns[own] = motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
-            self._columns[own, :, self._unknowns] += comparison.by_unknown
+            self._columns[own, :, self._own_columns] += comparison.by_unknown[:, :, self._observed]
 
     def _fill_joint(
         self,
@@ -158,9 +170,9 @@ class _Work:
             return
         motion = passive_motion(mechanism, swept, mechanism.select_passive[index], twists)
         self._columns[chosen] = comparison.by_joint[:, :, None] * motion[at]
-        self._columns[chosen, :, self._unknowns] += comparison.by_unknown
-        if self._columns.shape[2] > self._by_joint:
-            self._columns[chosen, :, self._by_joint :] += (
+        self._columns[chosen, :, self._own_columns] += comparison.by_unknown[:, :, self._observed]
+        if self._columns.shape[2] > len(self._by):
+            self._columns[chosen, :, len(self._by) :] += (
                 comparison.by_joint[:, :, None] * mechanism.select_actuated[index]
             )
 
@@ -177,7 +189,7 @@ class _Work:
         if phi:
             visits = as_slice(self.readings.visits)
             phi = tuple(columns[visits] for columns in phi)
-        return Observed(self.robot, self._residuals, self._columns, phi)
+        return Observed(self.robot, self._residuals, self._by, self._columns, phi)
 
 
 def _is_identity(matrices: FloatArray) -> bool:

@@ -64,26 +64,33 @@ class Whitening:
             return False
         return all(np.array_equal(each.visits, readings[name].visits) for name, each in known.items())
 
-    def flatten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
+    def flatten(self, arrays: Mapping[str, FloatArray], out: FloatArray | None = None) -> FloatArray:
         """Whiten arrays by instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
+        Args:
+            out: Array for the result, if there is one; the arrays may stand at their places in it, `readings_in`.
+
         Returns:
-            A new array, (n_all_rows,) or (n_all_rows, k).
+            (n_all_rows,) or (n_all_rows, k).
         """
-        parts = []
+        rows = np.empty((self.layout.n_rows, *arrays[self._names[0]].shape[2:])) if out is None else out
         for name in self._names:
-            array, inverse = arrays[name], self._inverse[name]
+            inverse, own = self._inverse[name], self.readings_in(rows, name)
+            array = arrays[name].reshape(own.shape)
             array = np.nan_to_num(array) if np.isnan(array).any() else array
             if inverse.ndim == 2:  # no correlations
-                whitened = array * (inverse if array.ndim == 2 else inverse[:, :, None])
+                np.multiply(array, inverse[:, :, None], out=own)
             else:
-                whitened = np.matmul(inverse, array if array.ndim == 3 else array[:, :, None])
-            parts.append(whitened.reshape(-1, *array.shape[2:]))
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+                np.matmul(inverse, array, out=own)
+        return rows
 
-    def whiten(self, arrays: Mapping[str, FloatArray], groups: FloatArray) -> FloatArray:
+    def readings_in(self, rows: FloatArray, name: str) -> FloatArray:
+        """Return the part of all rows, (n_all_rows,) or (n_all_rows, k), of one instrument, (n, n_rows, 1 or k)."""
+        return rows[self.layout.rows_of(name)].reshape(*self._inverse[name].shape[:2], *(rows.shape[1:] or (1,)))
+
+    def whiten(self, arrays: Mapping[str, FloatArray], groups: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Whiten arrays as `flatten` does, and divide them by the scales of the groups, (n_groups,)."""
-        rows = self.flatten(arrays)
+        rows = self.flatten(arrays, out)
         if np.any(groups != 1.0):
             rows /= self.row_scale(groups).reshape(-1, *[1] * (rows.ndim - 1))
         return rows
@@ -127,7 +134,11 @@ class Whitening:
 
     def columns(self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns) -> FloatArray:
         """Return the whitened derivative of the rows by the scaled unknowns, (n_rows, n_free), as in `rows`."""
-        columns = self.whiten({name: observed[name].derivative_by(unknowns.index) for name in self._names}, groups)
+        columns = np.empty((self.layout.n_rows, len(unknowns)))
+        arrays = {
+            name: observed[name].derivative_by(unknowns.index, self.readings_in(columns, name)) for name in self._names
+        }
+        self.whiten(arrays, groups, columns)
         columns *= unknowns.scales
         return columns
 
@@ -138,7 +149,7 @@ class Whitening:
     def start(self, residuals: Mapping[str, FloatArray] | None = None) -> FloatArray:
         """Return starting scales: 1 where noise is stated, else the size of `residuals`, (n, n_rows), or `ASSUMED`."""
         result = np.array([1.0 if group.stated else ASSUMED[group.part.dimension] for group in self.groups])
-        if residuals is not None:
+        if residuals is not None and np.any(self.is_unstated):
             flat, number = self.flatten(residuals), self.layout.group
             for g in np.flatnonzero(self.is_unstated):
                 result[g] = np.sqrt(np.mean(flat[number == g] ** 2)) + 1e-9

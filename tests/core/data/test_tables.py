@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -240,6 +241,27 @@ def test_columns_are_the_cells_of_the_rows(tmp_path):
     assert table.text("pose") == [row[0] for row in table.rows]
     assert table.text("pose")[307] == "p,307"
     np.testing.assert_array_equal(table.column("x", None), np.arange(900) + 0.5)
+
+
+def test_the_text_of_a_column_keeps_no_memory_of_the_other_cells(table_of):
+    """Python takes the memory of many short texts in blocks, which one text of each keeps."""
+    table = table_of("pose,q1\nfirst,0.5\nsecond,0.25\n")
+    assert table.text("pose") == ["first", "second"]
+    assert all(text is not cells[0] for text, cells in zip(table.text("pose"), table.rows, strict=True))
+
+
+def test_a_long_table_is_written_without_all_its_cells_in_memory(tmp_path):
+    columns = [(f"q{k}", np.random.default_rng(k).standard_normal(30_000)) for k in range(6)]
+    columns.append(("pose", [f"P{k}" for k in range(30_000)]))
+    tracemalloc.start()
+    text = format_table(columns)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5 * len(text)  # lines, their join, and cells of a part; all cells take as much as the rest
+    (tmp_path / "long.csv").write_text(text)
+    table = read_table(tmp_path / "long.csv")
+    assert table.text("pose") == columns[-1][1]
+    assert all(np.array_equal(table.column(name, None), values) for name, values in columns[:-1])
 
 
 def test_cells_of_an_array_without_a_number_are_empty():

@@ -205,6 +205,18 @@ def test_stating_a_small_noise_keeps_a_fit_of_real_measurements_converged(shared
     assert fit.convergence.step_left < 1e-3  # standard deviations; it stops at 1e-5 to 1e-8
 
 
+def test_a_fit_that_needs_no_ranks_of_held_parameters_differentiates_by_the_free_ones_alone(robot, data):
+    some = robot.with_terms(missing_terms(robot, parse_terms("gain"))).fix(*(p.name for p in robot.parameters[1:20:3]))
+    every = Problem.from_data(some, data)
+    start = place(every).robot
+    ends = [
+        problem.solve(problem.evaluate(start), np.ones(1))[0] for problem in (every, replace(every, free_alone=True))
+    ]
+    np.testing.assert_allclose(ends[1].robot.values, ends[0].robot.values, rtol=0.0, atol=1e-9)
+    widths = [next(iter(end.observed.values())).derivative.shape[2] for end in ends]
+    assert widths[0] - widths[1] == np.count_nonzero(~some.is_free)
+
+
 def test_places_are_taken_over_from_a_robot_that_moves_alike_and_from_no_other(robot, data):
     placed = place(Problem.from_data(robot, data))
     known = placed.robot, placed.residuals
@@ -227,3 +239,14 @@ def test_a_fit_keeps_no_derivative_but_that_of_its_rows(arm):
     kept = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     assert kept < 2.7 * made.rows.jacobian.nbytes
+
+
+def test_observability_copies_a_part_of_the_rows_at_a_time(arm):
+    made = calib.fit(arm, calib.simulate(arm, arm.sample(6000, seed=1), 4e-5, 2), sigma=4e-5)
+    tracemalloc.start()
+    indices = made.observability
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2.0 * made.rows.jacobian.nbytes  # two copies of half of the rows, and their factors
+    values = np.linalg.svd(4e-5 * made.rows.jacobian, compute_uv=False)
+    assert indices["O3"] == pytest.approx(values[-1], rel=1e-6)

@@ -63,6 +63,18 @@ def test_derivatives_by_parameters_are_those_of_central_differences(case):
     assert chain_error(*case) <= 1e-6
 
 
+def test_derivatives_by_some_parameters_are_a_part_of_those_by_all(case):
+    robot, q, readings = case
+    configurations, some = robot.assemble(q), np.arange(1, len(robot.parameters), 3)
+    every = observe(robot, configurations, readings, joints=True)
+    for name, item in observe(robot, configurations, readings, joints=True, by=some).items():
+        np.testing.assert_allclose(item.derivative_by(some), every[name].derivative_by(some), rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(item.derivative_by(some[2:4]), every[name].jacobian[..., some[2:4]], atol=1e-14)
+        np.testing.assert_allclose(item.joint_derivative, every[name].joint_derivative, rtol=1e-12, atol=1e-14)
+        with pytest.raises(AssertionError):
+            item.derivative_by(some - 1)
+
+
 def test_derivatives_by_joints_are_those_of_central_differences(case):
     robot, q, readings = case
     observed = observe(robot, robot.assemble(q), readings, joints=True)

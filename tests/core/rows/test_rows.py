@@ -1,5 +1,6 @@
 """The whitened rows: each kind of noise, gaps and groups, against plain linear algebra."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -116,6 +117,19 @@ def some_covariance():
 def test_the_covariance_of_a_row_comes_before_what_is_stated(tmp_path):
     yaml, covariance = instruments(", sigma: 5 mm", ", sigma: 0.3 mm"), some_covariance()
     assert_whitened(Case(tmp_path, yaml, change=lambda data: with_one(data, covariance=covariance)), covariance)
+
+
+def test_columns_take_no_memory_but_their_own(tmp_path):
+    """Between parameters that are held, with a coefficient of a joint term, of two instruments."""
+    yaml = instruments(", sigma: 0.1 mm", ", sigma: 0.3 mm") + "joint_terms:\n  - {joint: turn, term: gain}\n"
+    case = Case(tmp_path, yaml + "held: [slide.y, wrist.rx]\n", n=3000)
+    unknowns, groups = Unknowns.from_robot(case.robot), np.ones(len(case.whitening.groups))
+    tracemalloc.start()
+    columns = case.whitening.columns(case.observed, groups, unknowns)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1.7 * columns.nbytes  # the columns, and a part of those of one instrument
+    assert_whitened(case, 1e-8)
 
 
 def test_readings_that_were_not_taken_are_no_rows(tmp_path):

@@ -10,8 +10,8 @@ Search. Newton's steps on the logarithms of the sizes use the average informatio
 which is positive, plus the curvature of the prior. A step that does not lower the cost is shortened, to the minimum of
 a parabola along it, and tried again. The one start has families half as large as expected, and noise and scatter each a
 part of the residuals that flat columns leave. A size falls to no less than its bound, which is as good as zero. There
-the cost has no slope by the logarithm. So where a search ends, sizes that are zero are raised to the value that the
-slope by s^2 suggests, if it promises a lower cost, and the search goes on.
+the cost has no slope by the logarithm. So where a search ends, sizes of families that a solution omits are raised to
+the value that the slope by s^2 suggests, if it promises a lower cost, and the search goes on.
 
 Draws. The likelihood is even in every size s: an absent family has its maximum at s = 0, where log s has no scale. So
 the posterior is approximated by a normal one in s itself, and drawn sizes are made positive. With I Fisher's
@@ -136,18 +136,17 @@ def _descend(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: floa
 
 
 def _raised(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: float) -> FloatArray | None:
-    """Logarithms of the sizes, those raised from zero that promise a lower cost, (n_sizes,); None if none does."""
-    n = at.model.n_families
-    zero = np.flatnonzero((at.logs[:n] <= bounds.least[:n] + _AT_BOUND) & ~none[:n])
-    if not len(zero):
+    """Logarithms of the sizes, those raised that are too small to be seen and promise a lower cost; else None."""
+    unseen = np.setdiff1d(np.flatnonzero(~none[: at.model.n_families]), at.model.family[at.seen])
+    if not len(unseen):
         return None
-    slope, information = at.slope_at_zero(zero)
+    slope, information = at.slope_at_zero(unseen)
     slope += 1.0  # of the prior
     rises = (slope < 0.0) & (slope**2 > 4.0 * least_gain * information)
     if not np.any(rises):
         return None
-    raised, logs = zero[rises], at.logs.copy()
-    logs[raised] = np.minimum(0.5 * np.log(-slope[rises] / information[rises]), bounds.first[raised])
+    raised, logs = unseen[rises], at.logs.copy()
+    logs[raised] = np.minimum(0.5 * np.log(-slope[rises] / information[rises]), bounds.most[raised])
     return logs
 
 

@@ -230,6 +230,19 @@ def test_a_search_leaves_a_size_of_zero_where_the_rows_show_the_family():
     np.testing.assert_allclose(begun.logs[[0, 2]], free.logs[[0, 2]], atol=0.03)
 
 
+def test_noise_is_found_where_the_scatter_explains_all_that_flat_columns_leave():
+    rng, pose = np.random.default_rng(48), np.repeat(np.arange(20), 3)
+    columns, levers = rng.normal(size=(60, 6)), rng.normal(size=(60, 2))
+    values = np.einsum("ij,ij->i", levers, rng.normal(size=(20, 2))[pose]) + 0.5 * rng.standard_normal(60)
+    model = MixedModel.from_rows(of_one_group(columns, values, [0] * 4 + [FLAT] * 2, pose=pose, levers=levers))
+    family, noise, most = likeliest_sizes(model).logs
+    best = scipy.optimize.minimize_scalar(
+        lambda log: dense_cost(model, np.array([family, log, most])), bounds=(-2.0, 1.0), method="bounded"
+    )
+    assert model.solve(np.array([family, noise, most])).gradient[2] < -1.0  # it would be larger still
+    assert noise == pytest.approx(best.x, abs=0.01)
+
+
 def test_the_slope_at_zero_is_that_of_the_cost_by_the_square_of_a_size(small):
     model, zero, square = MixedModel.from_rows(small), LOGS.copy(), 1e-4
     zero[:2] = -np.inf

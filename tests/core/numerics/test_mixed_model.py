@@ -256,10 +256,12 @@ def test_drawn_sizes_count_components_that_the_size_found_hides():
     columns = np.linalg.qr(np.random.default_rng(4).normal(size=(60, 6)))[0]
     model = MixedModel.from_rows(of_one_group(5.0 * columns[:, :5], 7.0 * columns[:, 5], [0] * 4 + [FLAT]))
     at = likeliest_sizes(model)
-    assert at.logs[0] == least_sizes(model)[0] and len(at.seen) == 1
+    assert at.logs[0] == least_sizes(model)[0]
+    assert len(at.seen) == 1
     zero, slightly = (dense_cost(model, np.append(log, at.logs[1])) for log in (-20.0, 0.5 * np.log(1e-5)))
     expected = 2.0 * (slightly - zero) / 1e-5 + 2.0  # the slope by s^2 / 2, and that of the prior
-    assert expected > 20.0 and information_by_size(at)[0, 0] == pytest.approx(expected, rel=0.02)
+    assert expected > 20.0
+    assert information_by_size(at)[0, 0] == pytest.approx(expected, rel=0.02)
 
 
 def test_noise_is_found_where_the_scatter_explains_all_that_flat_columns_leave():

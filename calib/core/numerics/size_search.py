@@ -217,6 +217,7 @@ def scatter_given_noise(at: SolvedModel) -> float:
     counts the confusion with noise. It is d^2 where noise is stated, and where rows distinguish the two well. If d^2
     grows by 1, the variance of noise falls by k, its regression on d^2: beyond noise^2 / k none would be left.
     """
+    at = _with_all_components(at)
     bounds, square = _Bounds.from_model(at.model), float(np.exp(2.0 * at.logs[-1]))
     squares = 2.0 * np.exp(2.0 * at.logs)
     known = at.information / np.outer(squares, squares) + np.diag(np.exp(-4.0 * bounds.most))
@@ -241,6 +242,11 @@ def noise_given_scatter(at: SolvedModel, scatter: float) -> FloatArray:
         if np.max(np.abs(step)) < _CONVERGED:
             break
     return np.asarray(np.exp(logs[n:-1]))
+
+
+def _with_all_components(at: SolvedModel) -> SolvedModel:
+    """The same sizes, with coefficients also of components that only larger sizes would show."""
+    return at.model.solve(at.logs, np.arange(len(at.scale)))
 
 
 def _mean_beyond(value: float, variance: float) -> float:
@@ -288,7 +294,7 @@ def least_sizes(model: MixedModel) -> FloatArray:
 
 def information_by_size(at: SolvedModel) -> FloatArray:
     """Return the information of the sizes themselves by the module docstring, (n_sizes, n_sizes)."""
-    at = at.model.solve(at.logs, np.arange(len(at.scale)))  # with components that larger sizes would show
+    at = _with_all_components(at)
     sizes, n = np.exp(at.logs), at.model.n_families
     information = at.information / np.outer(sizes, sizes)
     more = np.maximum(at.gradient, 0.0) / sizes**2

@@ -355,6 +355,14 @@ def test_a_scatter_is_no_larger_than_residuals_that_are_nothing_else():
     assert np.exp(found.logs[-1]) > 3.0 * alone
 
 
+def test_the_scatter_depends_on_no_component_that_a_solution_omits(small):
+    model, logs = MixedModel.from_rows(small), LOGS.copy()
+    logs[:2] = least_sizes(model)[:2]
+    few, every = model.solve(logs), model.solve(logs, np.arange(len(model.family)))
+    assert len(few.seen) < len(every.seen)
+    assert scatter_given_noise(few) == pytest.approx(scatter_given_noise(every), rel=1e-9)
+
+
 def test_noise_beside_a_scatter_is_that_of_the_rows():
     """Of rows whose scatter is known; their whitened values have the variance 1, and are independent."""
     rng, n = np.random.default_rng(9), 3000

@@ -9,9 +9,10 @@ s = 1 where rows say nothing (chung2013).
 Search. Newton's steps on the logarithms of the sizes use the average information (`calib.core.numerics.mixed_model`),
 which is positive, plus the curvature of the prior. A step that does not lower the cost is shortened, to the minimum of
 a parabola along it, and tried again. The one start has families half as large as expected, and noise and scatter each a
-part of the residuals that flat columns leave. A size falls to no less than its bound, which is as good as zero. There
-the cost has no slope by the logarithm. So where a search ends, sizes that are zero are raised to the value that the
-slope by s^2 suggests, if it promises a lower cost, and the search goes on.
+part of the residuals that flat columns leave. A step leaves out sizes at a bound that would go beyond it: cut short,
+they would turn it uphill. The least bound is as good as zero, and the cost has no slope by the logarithm there. So
+where a search ends, sizes of families that a solution omits are raised to the value that the slope by s^2 suggests, if
+it promises a lower cost, and the search goes on.
 
 Draws. The likelihood is even in every size s: an absent family has its maximum at s = 0, where log s has no scale. So
 the posterior is approximated by a normal one in s itself, and drawn sizes are made positive. With I Fisher's
@@ -117,7 +118,8 @@ def _descend(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: floa
     for _ in range(_ROUNDS):
         _, slope, curvature = _prior(at)
         gradient = at.gradient + slope
-        free = ~(none | ((at.logs <= bounds.least + _AT_BOUND) & (gradient > 0.0)))
+        lowest, highest = at.logs <= bounds.least + _AT_BOUND, at.logs >= bounds.most - _AT_BOUND
+        free = ~(none | (lowest & (gradient > 0.0)) | (highest & (gradient < 0.0)))
         if np.max(np.abs(gradient[free]), initial=0.0) < _FLAT_COST:
             break
         information = at.average_information + np.diag(curvature)
@@ -136,18 +138,17 @@ def _descend(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: floa
 
 
 def _raised(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: float) -> FloatArray | None:
-    """Logarithms of the sizes, those raised from zero that promise a lower cost, (n_sizes,); None if none does."""
-    n = at.model.n_families
-    zero = np.flatnonzero((at.logs[:n] <= bounds.least[:n] + _AT_BOUND) & ~none[:n])
-    if not len(zero):
+    """Logarithms of the sizes, those raised that are too small to be seen and promise a lower cost; else None."""
+    unseen = np.setdiff1d(np.flatnonzero(~none[: at.model.n_families]), at.model.family[at.seen])
+    if not len(unseen):
         return None
-    slope, information = at.slope_at_zero(zero)
+    slope, information = at.slope_at_zero(unseen)
     slope += 1.0  # of the prior
     rises = (slope < 0.0) & (slope**2 > 4.0 * least_gain * information)
     if not np.any(rises):
         return None
-    raised, logs = zero[rises], at.logs.copy()
-    logs[raised] = np.minimum(0.5 * np.log(-slope[rises] / information[rises]), bounds.first[raised])
+    raised, logs = unseen[rises], at.logs.copy()
+    logs[raised] = np.minimum(0.5 * np.log(-slope[rises] / information[rises]), bounds.most[raised])
     return logs
 
 
@@ -215,6 +216,7 @@ def scatter_given_noise(at: SolvedModel) -> float:
     counts the confusion with noise. It is d^2 where noise is stated, and where rows distinguish the two well. If d^2
     grows by 1, the variance of noise falls by k, its regression on d^2: beyond noise^2 / k none would be left.
     """
+    at = _with_all_components(at)
     bounds, square = _Bounds.from_model(at.model), float(np.exp(2.0 * at.logs[-1]))
     squares = 2.0 * np.exp(2.0 * at.logs)
     known = at.information / np.outer(squares, squares) + np.diag(np.exp(-4.0 * bounds.most))
@@ -239,6 +241,11 @@ def noise_given_scatter(at: SolvedModel, scatter: float) -> FloatArray:
         if np.max(np.abs(step)) < _CONVERGED:
             break
     return np.asarray(np.exp(logs[n:-1]))
+
+
+def _with_all_components(at: SolvedModel) -> SolvedModel:
+    """The same sizes, with coefficients also of components that only larger sizes would show."""
+    return at.model.solve(at.logs, np.arange(len(at.scale)))
 
 
 def _mean_beyond(value: float, variance: float) -> float:
@@ -286,7 +293,7 @@ def least_sizes(model: MixedModel) -> FloatArray:
 
 def information_by_size(at: SolvedModel) -> FloatArray:
     """Return the information of the sizes themselves by the module docstring, (n_sizes, n_sizes)."""
-    at = at.model.solve(at.logs, np.arange(len(at.scale)))  # with components that larger sizes would show
+    at = _with_all_components(at)
     sizes, n = np.exp(at.logs), at.model.n_families
     information = at.information / np.outer(sizes, sizes)
     more = np.maximum(at.gradient, 0.0) / sizes**2

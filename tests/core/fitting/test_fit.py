@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.core.fitting.fit import WarmStart, minimum_of
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solved_fit import Convergence
@@ -207,11 +208,8 @@ def test_stating_a_small_noise_keeps_a_fit_of_real_measurements_converged(shared
 
 def test_a_fit_that_needs_no_ranks_of_held_parameters_differentiates_by_the_free_ones_alone(robot, data):
     some = robot.with_terms(missing_terms(robot, parse_terms("gain"))).fix(*(p.name for p in robot.parameters[1:20:3]))
-    every = Problem.from_data(some, data)
-    start = place(every).robot
-    ends = [
-        problem.solve(problem.evaluate(start), np.ones(1))[0] for problem in (every, replace(every, free_alone=True))
-    ]
+    nearby = [WarmStart(), WarmStart(free_alone=True)]
+    ends = [minimum_of(some, Settings(), data, nearby=near).solved.evaluation for near in nearby]
     np.testing.assert_allclose(ends[1].robot.values, ends[0].robot.values, rtol=0.0, atol=1e-9)
     widths = [next(iter(end.observed.values())).derivative.shape[2] for end in ends]
     assert widths[0] - widths[1] == np.count_nonzero(~some.is_free)

@@ -230,6 +230,53 @@ def test_a_search_leaves_a_size_of_zero_where_the_rows_show_the_family():
     np.testing.assert_allclose(begun.logs[[0, 2]], free.logs[[0, 2]], atol=0.03)
 
 
+def test_a_search_ends_at_the_minimum_where_its_first_steps_are_too_long():
+    rng = np.random.default_rng(12)
+    columns = rng.normal(size=(60, 13))
+    values = columns[:, :8] @ rng.normal(size=8) * 3.0 + 0.05 * rng.standard_normal(60)
+    model = MixedModel.from_rows(of_one_group(columns, values, [0] * 8 + [1] * 4 + [FLAT]))
+    logs = likeliest_sizes(model).logs
+    best = scipy.optimize.minimize(
+        lambda inner: dense_cost(model, np.array([inner[0], logs[1], inner[1]])) + np.log1p(np.exp(2.0 * inner[0])),
+        np.array([0.0, -2.0]),
+    )
+    np.testing.assert_allclose(logs[[0, 2]], best.x, atol=0.03)
+
+
+def test_components_count_by_the_noise_of_the_step():
+    """They are 40 times as long as one sigma, and the noise is a thousand times as large."""
+    rng = np.random.default_rng(2)
+    columns = np.linalg.qr(rng.normal(size=(30, 3)))[0] * [40.0, 40.0, 1.0]
+    model = MixedModel.from_rows(of_one_group(columns, rng.normal(size=30), [0, 0, FLAT]))
+    assert [len(model.solve(np.array([0.0, np.log(noise)])).seen) for noise in (1.0, 1000.0)] == [3, 1]
+
+
+def test_drawn_sizes_count_components_that_the_size_found_hides():
+    """A family that the rows exclude: sizes by which its columns would show are excluded, too."""
+    columns = np.linalg.qr(np.random.default_rng(4).normal(size=(60, 6)))[0]
+    model = MixedModel.from_rows(of_one_group(5.0 * columns[:, :5], 7.0 * columns[:, 5], [0] * 4 + [FLAT]))
+    at = likeliest_sizes(model)
+    assert at.logs[0] == least_sizes(model)[0]
+    assert len(at.seen) == 1
+    zero, slightly = (dense_cost(model, np.append(log, at.logs[1])) for log in (-20.0, 0.5 * np.log(1e-5)))
+    expected = 2.0 * (slightly - zero) / 1e-5 + 2.0  # the slope by s^2 / 2, and that of the prior
+    assert expected > 20.0
+    assert information_by_size(at)[0, 0] == pytest.approx(expected, rel=0.02)
+
+
+def test_noise_is_found_where_the_scatter_explains_all_that_flat_columns_leave():
+    rng, pose = np.random.default_rng(48), np.repeat(np.arange(20), 3)
+    columns, levers = rng.normal(size=(60, 6)), rng.normal(size=(60, 2))
+    values = np.einsum("ij,ij->i", levers, rng.normal(size=(20, 2))[pose]) + 0.5 * rng.standard_normal(60)
+    model = MixedModel.from_rows(of_one_group(columns, values, [0] * 4 + [FLAT] * 2, pose=pose, levers=levers))
+    family, noise, most = likeliest_sizes(model).logs
+    best = scipy.optimize.minimize_scalar(
+        lambda log: dense_cost(model, np.array([family, log, most])), bounds=(-2.0, 1.0), method="bounded"
+    )
+    assert model.solve(np.array([family, noise, most])).gradient[2] < -1.0  # it would be larger still
+    assert noise == pytest.approx(best.x, abs=0.01)
+
+
 def test_the_slope_at_zero_is_that_of_the_cost_by_the_square_of_a_size(small):
     model, zero, square = MixedModel.from_rows(small), LOGS.copy(), 1e-4
     zero[:2] = -np.inf
@@ -240,7 +287,8 @@ def test_the_slope_at_zero_is_that_of_the_cost_by_the_square_of_a_size(small):
         seen = np.flatnonzero(np.isin(model.family, [k, FLAT, KNOWN]))
         rise = model.solve(logs, seen).cost - model.solve(zero).cost
         assert slope[k] == pytest.approx(rise / square, rel=0.02)
-    assert np.all(information > 0.0)
+        of_log = model.solve(logs, seen).information[k, k]  # 2 s^2 is the derivative of s^2 by log s
+        assert information[k] == pytest.approx(of_log / (2.0 * square) ** 2, rel=0.02)
 
 
 def test_noise_and_scatter_are_told_apart_by_directions_that_joints_do_not_move():
@@ -305,6 +353,14 @@ def test_a_scatter_is_no_larger_than_residuals_that_are_nothing_else():
     alone = np.sqrt(np.sum(noise**2) / np.sum(levers**2))
     assert scatter_given_noise(found) == pytest.approx(alone, rel=0.1)
     assert np.exp(found.logs[-1]) > 3.0 * alone
+
+
+def test_the_scatter_depends_on_no_component_that_a_solution_omits(small):
+    model, logs = MixedModel.from_rows(small), LOGS.copy()
+    logs[:2] = least_sizes(model)[:2]
+    few, every = model.solve(logs), model.solve(logs, np.arange(len(model.family)))
+    assert len(few.seen) < len(every.seen)
+    assert scatter_given_noise(few) == pytest.approx(scatter_given_noise(every), rel=1e-9)
 
 
 def test_noise_beside_a_scatter_is_that_of_the_rows():

@@ -75,6 +75,26 @@ def test_derivatives_by_some_parameters_are_a_part_of_those_by_all(case):
             item.derivative_by(some - 1)
 
 
+def test_unknowns_of_instruments_are_counted_among_the_chosen_parameters(tmp_path):
+    """A zero of an encoder, and two focal lengths of a camera of which the second alone is chosen."""
+    yaml = ARM_YAML + (
+        "instruments:\n  encoder: {kind: joint_reading, joint: wrist, zero: unknown}\n"
+        "  eye: {kind: pixel, target: tip, camera: {frame: ground}, intrinsics: {fx: 900, fy: 910, cx: 500, cy: 400},"
+        " image: [1000, 800], points: {a: [0, 0, 0], b: [50 mm, 0, 0]}, unknown_intrinsics: {fx: 20, fy: 20}}\n"
+    )
+    robot = calib.load(write_arm(tmp_path, yaml))
+    configurations = robot.assemble(np.random.default_rng(1).uniform([-2, 0, -2], [2, 1, 2], (7, 3)))
+    readings = predict_readings(robot, configurations)
+    every = observe(robot, configurations, readings, joints=True)
+    n = len(robot.parameters)
+    for some in ([3, n - 1], [3, n - 3, n - 1], [3]):
+        for name, item in observe(robot, configurations, readings, joints=True, by=np.array(some)).items():
+            np.testing.assert_allclose(item.derivative_by(np.array(some)), every[name].jacobian[..., some], atol=1e-9)
+            np.testing.assert_allclose(item.joint_derivative, every[name].joint_derivative, atol=1e-9)
+    assert np.any(every["eye"].jacobian[..., n - 1])
+    assert np.all(every["encoder"].jacobian[..., n - 3] == 1.0)
+
+
 def test_derivatives_by_joints_are_those_of_central_differences(case):
     robot, q, readings = case
     observed = observe(robot, robot.assemble(q), readings, joints=True)

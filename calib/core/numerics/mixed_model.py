@@ -44,7 +44,8 @@ Components. Columns of a family are replaced by their principal components, and 
 same span. Components below a ten-thousandth of the largest are dropped: rows do not see them. With a least length, so
 are those that move all rows together by less than a part of the noise: of a coefficient u ~ N(0, 1) whose column has
 the length l, rows decide l^2 / (1 + l^2) of its variance, and it tells the square of this part of what a long one tells
-about the size. So a solution omits components that are too short with its sizes (1 %, and 0.01 %).
+about the size. So a solution omits components that are shorter than a tenth of the noise with its sizes. Rows decide
+1 % of their variance, and they tell 0.01 % of what long ones tell.
 
 Rounding. R is found from A by Cholesky. Rows that are 1e8 times as long as others hide in A what only the others, or
 priors, decide. Where pivots show this, R is found by QR of the rows, the longest first.

@@ -11,8 +11,8 @@ which is positive, plus the curvature of the prior. A step that does not lower t
 a parabola along it, and tried again. The one start has families half as large as expected, and noise and scatter each a
 part of the residuals that flat columns leave. A step leaves out sizes at a bound that would go beyond it: cut short,
 they would turn it uphill. The least bound is as good as zero, and the cost has no slope by the logarithm there. So
-where a search ends, sizes of families that a solution omits are raised to the value that the slope by s^2 suggests, if
-it promises a lower cost, and the search goes on.
+where a search ends, sizes that are zero, or that no row sees, are raised if this promises a lower cost, and the search
+goes on. With the slope b and the information I by t = s^2 at zero, the cost changes by b t + I t^2 / 2 + log(1 + t).
 
 Draws. The likelihood is even in every size s: an absent family has its maximum at s = 0, where log s has no scale. So
 the posterior is approximated by a normal one in s itself, and drawn sizes are made positive. With I Fisher's
@@ -138,17 +138,21 @@ def _descend(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: floa
 
 
 def _raised(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: float) -> FloatArray | None:
-    """Logarithms of the sizes, those raised that are too small to be seen and promise a lower cost; else None."""
-    unseen = np.setdiff1d(np.flatnonzero(~none[: at.model.n_families]), at.model.family[at.seen])
+    """Logarithms of the sizes, zero and unseen ones raised where this promises a lower cost, (n_sizes,); else None."""
+    n = at.model.n_families
+    seen = np.isin(np.arange(n), at.model.family[at.seen]) & (at.logs[:n] > bounds.least[:n] + _AT_BOUND)
+    unseen = np.flatnonzero(~(none[:n] | seen))
     if not len(unseen):
         return None
     slope, information = at.slope_at_zero(unseen)
-    slope += 1.0  # of the prior
-    rises = (slope < 0.0) & (slope**2 > 4.0 * least_gain * information)
+    information, rest = np.maximum(information, _NOTHING), -slope - information
+    root = np.sqrt(np.maximum(rest**2 - 4.0 * information * (slope + 1.0), 0.0))
+    squares = np.clip((rest + root) / (2.0 * information), 0.0, np.exp(2.0 * bounds.most[unseen]))
+    rises = -(slope + 0.5 * information * squares) * squares - np.log1p(squares) > 2.0 * least_gain
     if not np.any(rises):
         return None
-    raised, logs = unseen[rises], at.logs.copy()
-    logs[raised] = np.minimum(0.5 * np.log(-slope[rises] / information[rises]), bounds.most[raised])
+    logs = at.logs.copy()
+    logs[unseen[rises]] = 0.5 * np.log(squares[rises])
     return logs
 
 

@@ -277,6 +277,15 @@ def test_noise_is_found_where_the_scatter_explains_all_that_flat_columns_leave()
     assert noise == pytest.approx(best.x, abs=0.01)
 
 
+def test_a_family_is_found_that_no_row_sees_at_its_usual_size():
+    """Its coefficients are 40 times the usual ones, and at the usual size they are a thirtieth of all that is left."""
+    rng = np.random.default_rng(12)
+    columns = rng.normal(size=(60, 9)) * np.append(np.full(8, 0.01), 1.0)
+    values = columns[:, :8] @ (40.0 * rng.normal(size=8)) + 0.05 * rng.standard_normal(60)
+    found = np.exp(likeliest_sizes(MixedModel.from_rows(of_one_group(columns, values, [0] * 8 + [FLAT]))).logs)
+    assert found == pytest.approx([40.0, 0.05], rel=0.5)
+
+
 def test_the_slope_at_zero_is_that_of_the_cost_by_the_square_of_a_size(small):
     model, zero, square = MixedModel.from_rows(small), LOGS.copy(), 1e-4
     zero[:2] = -np.inf

@@ -166,6 +166,29 @@ class SeenColumns(ReadOnlyArrays):
         """Return u = B w, (n,), from w (n_new,)."""
         return coefficients_of(self.parts, combined)
 
+    def model(self, linear: LinearModel) -> LinearModel:
+        """Return a linear model of u as one of w."""
+        columns, deviations = self.combine(linear.jacobian), self.combine(linear.deviations)
+        return LinearModel(linear.residuals, columns, self.prior, deviations, linear.layout)
+
+    def covariance(self, combined: FloatArray, unseen: FloatArray) -> FloatArray:
+        """Return the covariance of u, (n, n).
+
+        Args:
+            combined: Covariance of w, (n_new, n_new).
+            unseen: Variance of the components of each family that rows do not see, (n_families,).
+        """
+        n, ends = sum(len(part.members) for part in self.parts), np.cumsum([part.kept.shape[1] for part in self.parts])
+        left, result = np.empty((n, len(combined))), np.empty((n, n))
+        for part, rows in zip(self.parts, np.split(combined, ends[:-1]), strict=True):
+            left[part.members] = part.kept @ rows
+        for part, columns in zip(self.parts, np.split(left, ends[:-1], axis=1), strict=True):
+            result[:, part.members] = columns @ part.kept.T
+        for part, variance in zip(self.parts[1:], unseen, strict=True):
+            aside = np.eye(len(part.members)) - part.kept @ part.kept.T
+            result[np.ix_(part.members, part.members)] += variance * aside
+        return result
+
 
 def whiten_scatter(levers: FloatArray, pose: IntArray, *arrays: FloatArray) -> list[FloatArray]:
     """Return rows whose noise is white, from rows with the noise N(0, I + H_k H_k^T) at each pose k.

@@ -163,7 +163,7 @@ class Statistics(ReadOnlyArrays):
 
     def with_covariance(self, scaled_covariance: FloatArray, scales: FloatArray, has_prior: BoolArray) -> Statistics:
         """Return the statistics with another covariance of u, (n, n), its scales (n,), and mask of priors (n,)."""
-        covariance, std, share = _of_parameters(scaled_covariance, scales, has_prior)
+        covariance, std, share = _parameter_uncertainty(scaled_covariance, scales, has_prior)
         return replace(self, covariance=covariance, std=std, data_share=share)
 
     def correlations(self) -> FloatArray:
@@ -309,12 +309,12 @@ def statistics(
         scaled_covariance = known.covariance_from(core)
     if by_sizes is not None:
         scaled_covariance = scaled_covariance + by_sizes
-    covariance, std, share = _of_parameters(scaled_covariance, scales, prior.has)
+    covariance, std, share = _parameter_uncertainty(scaled_covariance, scales, prior.has)
     decides = effective_parameters(known, prior)
     return Statistics(factors, factors.total_freedom, covariance, std, share, decides, poses, beyond_linear)
 
 
-def _of_parameters(
+def _parameter_uncertainty(
     scaled_covariance: FloatArray, scales: FloatArray, has_prior: BoolArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Covariance (n_free, n_free) and std (n_free,) [m, rad] from that of u, and what data decide, (n_free,)."""

@@ -23,7 +23,7 @@ from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.losses import median_length
 from calib.photographs.opencv import opencv
-from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, residuals, rows
+from calib.photographs.scene import BoardScene, HandEyePlacement, residuals, rows
 
 LEAST_IMAGES = 3
 _LEAST_ALONE = 6  # points of an image that its own pose cannot explain exactly
@@ -197,7 +197,7 @@ def _errors_in_image(
 def _studentised_residuals(alone: FreeBoards) -> FloatArray:
     """Residuals over the part of the noise that a free pose leaves in them, (m,) [px]."""
     r, _, g = rows(alone.scene, alone.placed)
-    inverse = np.linalg.inv(linearise(alone.scene, alone.placed).gg)[alone.scene.image]
+    inverse = np.linalg.inv(alone.scene.sums(g.transpose(0, 2, 1) @ g))[alone.scene.image]
     left = np.eye(2) - g @ inverse @ g.transpose(0, 2, 1)
     values, vectors = linalg.eigh(left)
     turned = np.einsum("mba,mb->ma", vectors, r)

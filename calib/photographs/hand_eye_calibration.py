@@ -23,7 +23,7 @@ from calib.core.base.errors import ComputationError, DataError
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.words import count_noun
 from calib.photographs.camera_alone import LEAST_IMAGES, camera_alone, intrinsics_at_first
-from calib.photographs.estimation import LeftOutImages, estimate, rms, weigh_images
+from calib.photographs.estimation import HandEyeFit, estimate, rms, weigh_images
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.images_off import fitting_images, fitting_points, images_far_off
 from calib.photographs.lens_choice import lens_choices, unlikely
@@ -32,6 +32,7 @@ from calib.photographs.scene import BoardScene, Mount
 from calib.photographs.starts import Start, start
 
 _GAIN = 1.5
+_ROUNDING = 1e-6  # px, of computed photographs
 
 
 @one_blas_thread
@@ -71,13 +72,13 @@ def calibrate(
     choices = lens_choices(kept_scene, begin.placed, first, intrinsics, lens)
     better = choices[0]
     for choice in choices[1:]:
-        if _gain(better.left_out, choice.left_out, len(kept_scene)) > _GAIN:
+        if _gain(better, choice) > _GAIN:
             better = choice
     chosen = choices[0] if lens == "given" else better
     rms_given = float("nan") if choices[0].unknowns.free else rms(choices[0].left_out.pixels)
     tell(3, 5)
     by_errors = weigh_images(chosen)
-    weighed = _gain(chosen.left_out, by_errors.left_out, len(kept_scene)) > _GAIN
+    weighed = _gain(chosen, by_errors) > _GAIN
     fitted = estimate(by_errors if weighed else chosen)
     tell(4, 5)
     alone = camera_alone(kept_scene, fitted.placed.intrinsics, fitted.unknowns.free)
@@ -109,8 +110,9 @@ def _sort_points(scene: BoardScene) -> BoardScene:
     return replace(scene, image=scene.image[order], body=scene.body[order], pixels=scene.pixels[order])
 
 
-def _gain(before: LeftOutImages, after: LeftOutImages, n: int) -> float:
-    return float(n * np.log(rms(before.pixels) / rms(after.pixels)))
+def _gain(before: HandEyeFit, after: HandEyeFit) -> float:
+    errors = [rms(fit.left_out.pixels) + _ROUNDING for fit in (before, after)]
+    return float(len(before.scene) * np.log(errors[0] / errors[1]))
 
 
 def require_images(count: int) -> None:

@@ -202,23 +202,9 @@ def rows(
     columns = [by_point @ by_camera, by_point @ by_board, by_number[:, :, list(unknowns.free)]]
     if unknowns.scaled:
         columns.append(by_point @ np.einsum("kab,kb->ka", turned, scene.body)[:, :, None])
-    return (
-        pixels - scene.pixels,
-        np.concatenate(columns, axis=2),
-        by_point @ _robot_error_derivative(scene, placed, body),
-    )
-
-
-def _robot_error_derivative(scene: BoardScene, placed: HandEyePlacement, body: FloatArray) -> FloatArray:
-    """Derivative of points in the camera by an error of the robot's tool, (m, 3, 6)."""
-    if scene.mount == "base":
-        carried = body @ placed.board[:3, :3].T + placed.board[:3, 3]  # in the tool
-        turned = (placed.camera[:3, :3].T @ scene.tool[:, :3, :3])[scene.image]
-        return np.concatenate([turned, -turned @ cross_matrices(carried)], axis=2)
-    seen = (scene.links @ placed.board)[scene.image]
-    carried = np.einsum("kab,kb->ka", seen[:, :3, :3], body) + seen[:, :3, 3]
-    turned = np.tile(placed.camera[:3, :3].T, (len(body), 1, 1))
-    return -np.concatenate([turned, -turned @ cross_matrices(carried)], axis=2)
+    on_tool, by_pose = (placed.camera, columns[0]) if scene.mount == "tool" else (placed.board, columns[1])
+    # exp(e) T = T exp(Ad(T^-1) e): an error of the tool moves what is on it, by a pose T
+    return pixels - scene.pixels, np.concatenate(columns, axis=2), by_pose @ pin.SE3(on_tool).actionInverse
 
 
 def plane_errors_on_board(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:

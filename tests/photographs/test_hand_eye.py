@@ -117,6 +117,12 @@ def test_of_three_images_no_two_predict_the_third():
     assert content(result, Frames())["on_board_m"]["left_out"] is not None
 
 
+def test_rounding_of_computed_photographs_decides_nothing():
+    result = calibrate(scene(8, "tool", noise=0.0), INTRINSICS, mounts=("tool",))
+    assert (result.lens_found, result.weighed, codes(result)) == (False, False, [])
+    assert rms(result.left_out.pixels) < 1e-9
+
+
 def test_millimetres_on_the_board_are_where_rays_meet_its_plane():
     view = scene(2, "tool", noise=0.0)
     placed = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)

@@ -181,10 +181,10 @@ def whiten_scatter(levers: FloatArray, pose: IntArray, *arrays: FloatArray) -> l
         values, turn = linalg.eigh(np.matmul(own.swapaxes(1, 2), own))
         root = np.sqrt(1.0 + np.maximum(values, 0.0))
         across = np.matmul(own, turn)  # (1 + H H^T)^-1/2 = 1 - A diag(1 / (root + root^2)) A^T with A = H `turn`
-        back = np.matmul(across / (root + root**2)[:, None], across.swapaxes(1, 2))
         for array in result:
             flat = array[places].reshape(*places.shape, -1)
-            array[places] -= np.matmul(back, flat).reshape(array[places].shape)
+            inner = np.matmul(across.swapaxes(1, 2), flat) / (root + root**2)[:, :, None]
+            array[places] -= np.matmul(across, inner).reshape(array[places].shape)
     return result
 
 

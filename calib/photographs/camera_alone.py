@@ -10,28 +10,23 @@ References: zhang2000; OpenCV's documentation of calib3d.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.instruments.camera import LEAST_POINTS
-from calib.core.numerics import linalg
 from calib.core.numerics.chances import FALSE_ALARM
-from calib.core.numerics.losses import median_length
+from calib.core.numerics.losses import StudentisedErrors, studentised
 from calib.photographs.opencv import opencv
-from calib.photographs.scene import BoardScene, HandEyePlacement, linearise, residuals, rows
+from calib.photographs.scene import BoardScene, HandEyePlacement, residuals, rows
 
 LEAST_IMAGES = 3
 _LEAST_ALONE = 6  # points of an image that its own pose cannot explain exactly
 _TO_THE_END = (3, 100, 1e-15)  # OpenCV's stopping rule: number of steps, and size of a step
 _UNSURE = 0.2  # images do not determine a focal length with a larger relative standard deviation
 _SHORTEST, _LONGEST = 0.1, 25.0  # ratio of a camera's focal length to the width of its images
-_NO_NOISE = 1e-9  # px: rounding of computed pixels
-_SMALLEST = 1e-6  # least part of a point's noise that remains in its residual; less counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,41 +160,28 @@ def point_errors(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...
     freedom = 2 * len(alone.scene.pixels) - 6 * len(alone.images) - len(free)
     if freedom <= 0:
         return far
-    sizes = _studentised_residuals(alone)
-    scale = max(float(np.median(sizes)) / float(median_length(np.array([2]))[0]), _NO_NOISE)
-
-    def chances(size: FloatArray) -> FloatArray:
-        return np.asarray(len(sizes) * scipy.special.fdtrc(2, freedom / 2, (size / scale) ** 2 / 2))
-
+    every = _studentise(alone, freedom)
     for i in alone.images:
-        image = scene.image_alone(i)
-        far[scene.image == i] = _errors_in_image(image, alone.placed.intrinsics, chances)
+        far[scene.image == i] = _errors_in_image(scene.image_alone(i), alone.placed.intrinsics, freedom, every)
     return far
 
 
-def _errors_in_image(
-    image: BoardScene, intrinsics: FloatArray, chances: Callable[[FloatArray], FloatArray]
-) -> FloatArray:
-    """`point_errors` of one image; `chances` are probabilities of such residuals of good points."""
+def _errors_in_image(image: BoardScene, intrinsics: FloatArray, freedom: float, every: StudentisedErrors) -> FloatArray:
+    """`point_errors` of one image; `every` has the scale and the number of all points."""
     gone: BoolArray = np.zeros(len(image.pixels), dtype=bool)
     while 2 * np.sum(gone) <= len(gone) and (alone := free_boards(image.with_points(~gone), intrinsics)) is not None:
-        placed = replace(image, tool=alone.scene.tool, mount="base")
-        lengths = np.linalg.norm(residuals(placed, alone.placed), axis=1)
-        sizes = np.zeros(len(gone))
-        sizes[~gone] = _studentised_residuals(alone)
-        k = int(np.argmax(sizes))
-        if chances(sizes)[k] >= FALSE_ALARM:
-            return np.where(gone, lengths, 0.0)
-        gone[k] = True
+        errors = _studentise(alone, freedom, every.scale)
+        worst = int(np.argmax(errors.ratio))
+        if len(every.chance) * errors.chance[worst] >= FALSE_ALARM:
+            placed = replace(image, tool=alone.scene.tool, mount="base")
+            return np.where(gone, np.linalg.norm(residuals(placed, alone.placed), axis=1), 0.0)
+        gone[np.flatnonzero(~gone)[worst]] = True
     return np.zeros(len(gone))
 
 
-def _studentised_residuals(alone: FreeBoards) -> FloatArray:
-    """Residuals over the part of the noise that a free pose leaves in them, (m,) [px]."""
+def _studentise(alone: FreeBoards, freedom: float, scale: float | None = None) -> StudentisedErrors:
+    """Studentised residual of every point with a free pose in each image; its scale is found if not given."""
     r, _, g = rows(alone.scene, alone.placed)
-    inverse = np.linalg.inv(linearise(alone.scene, alone.placed).gg)[alone.scene.image]
-    left = np.eye(2) - g @ inverse @ g.transpose(0, 2, 1)
-    values, vectors = linalg.eigh(left)
-    turned = np.einsum("mba,mb->ma", vectors, r)
-    squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
-    return np.sqrt(np.sum(squares, axis=1))
+    span = np.concatenate([np.linalg.qr(g[alone.scene.image == i].reshape(-1, 6))[0] for i in range(len(alone.scene))])
+    point, width = np.repeat(np.arange(len(r)), 2), np.full(len(r), 2)
+    return studentised(r.ravel(), span, point, width, np.ones(len(r)), freedom, scale)

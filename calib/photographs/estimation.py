@@ -17,147 +17,154 @@ them, left out or not. Intervals allow for them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import pinocchio as pin
 import scipy
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
-from calib.core.base.errors import NotConvergedError, NotIdentifiableError
+from calib.core.base.errors import NotIdentifiableError
 from calib.core.base.units import quantity_text
 from calib.core.numerics import linalg
+from calib.core.numerics.clusters import shifts_without_block
+from calib.core.numerics.identifiability import extend_reduced, numerical_rank, unit_columns
+from calib.core.numerics.least_squares import minimise
+from calib.core.numerics.linear_model import LinearModel
+from calib.core.numerics.tall import Span
 from calib.photographs.intervals import arm_twists, intervals
 from calib.photographs.scene import (
     POSES,
     BoardScene,
     HandEyePlacement,
     HandEyeUnknowns,
-    linearise,
     plane_errors_on_board,
     residuals,
 )
-from calib.photographs.shared_errors import ErrorSizes, find_noise, normal_equations
+from calib.photographs.shared_errors import ErrorSizes, ImageRows
 
 LITTLE_TURN = np.deg2rad(15)
 """Photographs hardly determine the camera's pose if rotations about the second axis spread less."""
-_STEPS = 40
-_ENDS = 1e-13  # rounding dominates smaller steps
-_NOISE_ROUNDS = 12
-_NOISE_CONVERGED = 1e-8
-_SINGULAR = 1e-7  # images do not show a direction with a smaller relative singular value of scaled columns
+_EVALUATIONS = 40
+_TOLERANCE = 1e-16  # promised decrease that ends the iteration: the rest is a millionth of a standard deviation
+_NOISE_ROUNDS = 3  # the noise decides only how wide priors count
+_LEAST_NOISE = 1e-6  # px, of computed pixels
+_WEIGHING_ROUNDS = 2
+_DECIDES = 1.0 - 1e-9  # if an image decides more than this part of a direction, the others cannot predict it
 
 
 @dataclass(frozen=True, eq=False)
-class HandEyeEstimate(ReadOnlyArrays):
+class LeftOutImages(ReadOnlyArrays):
+    """Errors of left-out images, predicted minus detected: pixels (m, 2) [px], and on the board (m, 2) [m]."""
+
+    pixels: FloatArray
+    board: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class HandEyeFit(ReadOnlyArrays):
     """A hand-eye fit.
 
     Attributes:
+        scene: The images.
         placed: Poses of camera and board, and intrinsics.
         unknowns: What was fitted besides the poses.
-        noise: Sizes of the errors; those of the arm count in the intervals alone.
         weights: Sizes of the errors by which images are weighted; pixels alone for equal weights.
+    """
+
+    scene: BoardScene
+    placed: HandEyePlacement
+    unknowns: HandEyeUnknowns
+    weights: ErrorSizes
+
+    @cached_property
+    def rows(self) -> ImageRows:
+        """Rows of the points around the solution."""
+        return ImageRows.from_scene(self.scene, self.placed, self.unknowns)
+
+    @cached_property
+    def left_out(self) -> LeftOutImages:
+        """Errors of each image against a fit of the others, as `left_out_errors` has them."""
+        rows = self.rows
+        pixels, by_board = left_out_errors(rows, self.weights), rows.pixels.jacobian[:, 6:8] / self.unknowns.scales[6:8]
+        moved = np.linalg.solve(by_board.reshape(-1, 2, 2), (pixels - rows.pixels.residuals).reshape(-1, 2, 1))
+        return LeftOutImages(pixels.reshape(-1, 2), plane_errors_on_board(self.scene, self.placed) - moved[:, :, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class HandEyeEstimate(HandEyeFit):
+    """A hand-eye fit with its uncertainty.
+
+    Attributes:
+        noise: Sizes of the errors; those of the arm count in the intervals alone.
         covariance: Covariance of [camera 6, board 6, intrinsics, (scale)], (k, k), in their own axes [m, rad, px, 1].
         freedom: Satterthwaite's degrees of freedom of each of them, (k,).
     """
 
-    placed: HandEyePlacement
-    unknowns: HandEyeUnknowns
     noise: ErrorSizes
-    weights: ErrorSizes
     covariance: FloatArray
     freedom: FloatArray
 
 
-def solve(
-    scene: BoardScene, start: HandEyePlacement, unknowns: HandEyeUnknowns, noise: ErrorSizes, steps: int = _STEPS
-) -> HandEyePlacement:
-    """Return the minimum by damped Gauss-Newton steps at fixed noise."""
-    placed, damping, last = start, 0.0, np.inf
-    a, b, cost = normal_equations(linearise(scene, placed, unknowns), noise)
-    for _ in range(steps):
-        scale = 1.0 / np.sqrt(np.diag(a) + 1e-300)
-        inner = scale[:, None] * a * scale + (damping + 1e-14) * np.eye(len(a))
-        step = -scale * np.linalg.solve(inner, scale * b)
-        size = float(np.linalg.norm(step / scale)) / (1.0 + np.sqrt(cost))
-        tried = placed.step(step, unknowns)
-        if np.any(tried.intrinsics[:2] <= 0) or tried.scale <= 0:
-            damping = max(10 * damping, 1e-3)
-            continue
-        ahead = normal_equations(linearise(scene, tried, unknowns), noise)
-        if not ahead[2] <= cost * (1 + 1e-12) + 1e-18:
-            if size < 1e-9:
-                break
-            damping = max(10 * damping, 1e-4)
-            continue
-        placed, (a, b, cost), damping = tried, ahead, damping / 10 if damping > 1e-8 else 0.0
-        if size < _ENDS or (size < 1e-9 and size >= 0.5 * last):
-            break
-        last = size
-    return placed
+def solve(scene: BoardScene, start: HandEyePlacement, unknowns: HandEyeUnknowns, noise: ErrorSizes) -> HandEyePlacement:
+    """Return the minimum with the weights of these errors at the start."""
+    begin, scales = ImageRows.from_scene(scene, start, unknowns), unknowns.scales
+
+    def errors(x: FloatArray) -> FloatArray:
+        placed = start.step(scales * x, unknowns)
+        if np.any(placed.intrinsics[:2] <= 0) or placed.scale <= 0:
+            return np.full(len(begin.image) + len(unknowns.free), np.nan)
+        of_points = begin.whiten(noise, residuals(scene, placed).ravel())[0]
+        return np.concatenate([of_points, unknowns.prior.times(begin.pixels.deviations + x)])
+
+    def model(x: FloatArray) -> LinearModel:
+        here = ImageRows.from_scene(scene, start.step(scales * x, unknowns), unknowns)
+        for pose in (slice(6), slice(6, 12)):
+            here.pixels.jacobian[:, pose] @= pin.Jexp6(pin.Motion(scales[pose] * x[pose]))
+        return replace(here, levers=begin.levers).weigh(noise)
+
+    end = minimise(errors, model, np.zeros(len(scales)), tolerance=_TOLERANCE, max_evaluations=_EVALUATIONS)
+    return start.step(scales * end.x, unknowns)
 
 
-def estimate(
-    scene: BoardScene,
-    start: HandEyePlacement,
-    unknowns: HandEyeUnknowns = POSES,
-    *,
-    weighed: bool = False,
-    near: ErrorSizes | None = None,
-) -> HandEyeEstimate:
-    """Return camera, board and lens with their noise and uncertainty.
-
-    With `weighed`, images are weighted by the errors that their points share; else all points are equal. `near` are
-    sizes of the errors of a similar problem, as first values.
-
-    Raises:
-        NotIdentifiableError: The images do not determine all unknowns.
-        NotConvergedError: The sizes of the errors did not converge.
-    """
-    placed, noise = start, near
-    if weighed:
-        for _ in range(_NOISE_ROUNDS):
-            before, noise = noise, find_noise(linearise(scene, placed, unknowns), noise)
-            placed = solve(scene, placed, unknowns, noise)
-            if before is not None and np.allclose(before.sizes, noise.sizes, _NOISE_CONVERGED, 1e-12):
-                break
-        else:
-            raise NotConvergedError("the noise of the photographs could not be found from the residuals")
-        weights = noise
-    else:
-        placed, weights = plain(scene, start, unknowns)
-    linear = linearise(scene, placed, unknowns)
-    require_determined(normal_equations(linear, weights)[0], scene)
-    noise = weights if weighed else find_noise(linear, near)
-    arm, covariance, freedom = intervals(linear, arm_twists(scene.tool), weights, noise)
-    return HandEyeEstimate(placed, unknowns, replace(noise, arm=arm), weights, covariance, freedom)
-
-
-def plain(
-    scene: BoardScene, start: HandEyePlacement, unknowns: HandEyeUnknowns = POSES
-) -> tuple[HandEyePlacement, ErrorSizes]:
-    """Return the least-squares solution with equal weights, and the noise of its residuals, by which priors count.
+def plain(scene: BoardScene, start: HandEyePlacement, unknowns: HandEyeUnknowns = POSES) -> HandEyeFit:
+    """Return the least-squares solution with equal weights: the noise of its residuals, by which priors count.
 
     Raises:
         NotIdentifiableError: The images do not determine all unknowns.
     """
-    has_prior, weights = bool(unknowns.free), ErrorSizes()
-    placed = start if has_prior else solve(scene, start, unknowns, weights)
-    for _ in range(_NOISE_ROUNDS if has_prior else 1):
-        linear = linearise(scene, placed, unknowns)
-        left = max(float(np.sum(linear.n_rows)) - linear.jr.shape[1], 1.0)
-        before, weights = weights, ErrorSizes(max(float(np.sqrt(np.sum(linear.rr) / left)), 1e-6))
-        if has_prior:
-            placed = solve(scene, placed, unknowns, weights)
-        if abs(before.pixel - weights.pixel) < _NOISE_CONVERGED * weights.pixel:
-            break
-    require_determined(normal_equations(linearise(scene, placed, unknowns), weights)[0], scene)
-    return placed, weights
+    placed, weights = start, ErrorSizes()
+    for _ in range(_NOISE_ROUNDS):
+        placed = solve(scene, placed, unknowns, weights)
+        left = residuals(scene, placed)
+        noise = float(np.sqrt(np.sum(left**2) / max(left.size - len(unknowns.scales), 1)))
+        weights = ErrorSizes(max(noise, _LEAST_NOISE))
+    fit = HandEyeFit(scene, placed, unknowns, weights)
+    require_determined(fit.rows.weigh(weights), scene)
+    return fit
 
 
-def require_determined(a: FloatArray, scene: BoardScene) -> None:
-    """Raise `NotIdentifiableError` unless all unknowns show in the normal equations A, (k, k)."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
-    values = linalg.eigvalsh(scale[:, None] * a * scale)
-    if values[0] > _SINGULAR**2 * values[-1] and np.all(np.isfinite(values)):
+def weigh_images(fit: HandEyeFit) -> HandEyeFit:
+    """Return the fit with images weighted by the errors that their points share."""
+    for _ in range(_WEIGHING_ROUNDS):
+        weights = ErrorSizes.from_model(fit.rows.find_sizes())
+        fit = replace(fit, placed=solve(fit.scene, fit.placed, fit.unknowns, weights), weights=weights)
+    return fit
+
+
+def estimate(fit: HandEyeFit) -> HandEyeEstimate:
+    """Return a fit with its noise and uncertainty."""
+    twists, scales = arm_twists(fit.scene.tool), fit.unknowns.scales
+    at = fit.rows.find_sizes(twists)
+    covariance, freedom = intervals(fit.rows, twists, fit.weights, at)
+    known = fit.scene, fit.placed, fit.unknowns, fit.weights
+    return HandEyeEstimate(*known, ErrorSizes.from_model(at), np.outer(scales, scales) * covariance, freedom)
+
+
+def require_determined(model: LinearModel, scene: BoardScene) -> None:
+    """Raise `NotIdentifiableError` unless all unknowns show in the rows and priors of a model."""
+    rank = numerical_rank(unit_columns(extend_reduced(model.factor[:, :-1], model.prior.rows))[0])
+    if rank.rank == rank.n_columns:
         return
     axes = turning(scene.tool)
     raise NotIdentifiableError(
@@ -178,24 +185,17 @@ def turning(poses: FloatArray) -> FloatArray:
     return linalg.singular_values(turns)[:3] * 2 / np.sqrt(max(len(poses), 1)) if len(poses) > 2 else np.zeros(3)
 
 
-@dataclass(frozen=True, eq=False)
-class LeftOutImages(ReadOnlyArrays):
-    """Errors of left-out images, predicted minus detected: pixels (m, 2) [px], and on the board (m, 2) [m]."""
+def left_out_errors(rows: ImageRows, weights: ErrorSizes) -> FloatArray:
+    """Return the pixel errors of each image against the linear fit of the others, (2 m,) [px].
 
-    pixels: FloatArray
-    board: FloatArray
-
-
-def predict_left_out_images(
-    scene: BoardScene, placed: HandEyePlacement, unknowns: HandEyeUnknowns, weights: ErrorSizes
-) -> LeftOutImages:
-    """Return the errors of each image against a fit of the others, at fixed weights."""
-    pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
-    for i in range(len(scene)):
-        part, in_image = scene.image_alone(i), scene.image == i
-        without = solve(scene.select_images(np.arange(len(scene)) != i), placed, unknowns, weights, steps=6)
-        pixels[in_image], board[in_image] = residuals(part, without), plane_errors_on_board(part, without)
-    return LeftOutImages(pixels, board)
+    They are NaN where an image alone decides a direction, so that the others cannot predict it.
+    """
+    model, pixels = rows.weigh(weights), rows.pixels
+    step, seen = model.step(), Span(pixels.jacobian, model.posterior_information.root)
+    left = model.residuals + model.jacobian @ step
+    moved, decided = shifts_without_block(model.span, rows.image, left, seen=seen, alone=_DECIDES)
+    moved[decided[rows.image] >= _DECIDES] = np.nan
+    return np.asarray(pixels.residuals + pixels.jacobian @ step + moved)
 
 
 def rms(errors: FloatArray) -> float:

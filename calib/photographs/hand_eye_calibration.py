@@ -14,16 +14,16 @@ images, a smaller gain is too often chance, and then new images are predicted wo
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import ComputationError, DataError
+from calib.core.base.threads import one_blas_thread
 from calib.core.base.words import count_noun
 from calib.photographs.camera_alone import LEAST_IMAGES, camera_alone, intrinsics_at_first
-from calib.photographs.estimation import LeftOutImages, estimate, predict_left_out_images, rms
+from calib.photographs.estimation import HandEyeFit, estimate, rms, weigh_images
 from calib.photographs.hand_eye import HandEye
 from calib.photographs.images_off import fitting_images, fitting_points, images_far_off
 from calib.photographs.lens_choice import lens_choices, unlikely
@@ -32,8 +32,10 @@ from calib.photographs.scene import BoardScene, Mount
 from calib.photographs.starts import Start, start
 
 _GAIN = 1.5
+_ROUNDING = 1e-6  # px, of computed photographs
 
 
+@one_blas_thread
 def calibrate(
     scene: BoardScene,
     intrinsics: FloatArray | None,
@@ -54,7 +56,6 @@ def calibrate(
     Raises:
         DataError: Too few images.
         NotIdentifiableError: The images do not determine all unknowns.
-        NotConvergedError: The sizes of the errors did not converge.
     """
     tell = progress or (lambda done, total: None)
     if lens == "given" and intrinsics is None:
@@ -70,28 +71,22 @@ def calibrate(
     tell(2, 5)
     choices = lens_choices(kept_scene, begin.placed, first, intrinsics, lens)
     better = choices[0]
-    for other in choices[1:]:
-        if _gain(better.left_out, other.left_out, len(kept_scene)) > _GAIN:
-            better = other
+    for choice in choices[1:]:
+        if _gain(better, choice) > _GAIN:
+            better = choice
     chosen = choices[0] if lens == "given" else better
     rms_given = float("nan") if choices[0].unknowns.free else rms(choices[0].left_out.pixels)
     tell(3, 5)
-    fitted, left, weighed = estimate(kept_scene, chosen.placed, chosen.unknowns), chosen.left_out, False
-    if fitted.noise.shift > 0 or fitted.noise.turn > 0:
-        with suppress(ComputationError):  # weights that do not converge are not used
-            other_fitted = estimate(kept_scene, fitted.placed, fitted.unknowns, weighed=True, near=fitted.noise)
-            other_left = predict_left_out_images(
-                kept_scene, other_fitted.placed, other_fitted.unknowns, other_fitted.weights
-            )
-            if _gain(left, other_left, len(kept_scene)) > _GAIN:
-                fitted, left, weighed = other_fitted, other_left, True
+    by_errors = weigh_images(chosen)
+    weighed = _gain(chosen, by_errors) > _GAIN
+    fitted = estimate(by_errors if weighed else chosen)
     tell(4, 5)
     alone = camera_alone(kept_scene, fitted.placed.intrinsics, fitted.unknowns.free)
-    of_lens = fitted if better is chosen else estimate(kept_scene, better.placed, better.unknowns)
-    mistakes = find_mistakes(cleaned, kept_scene, fitted, intrinsics, first, of_lens, mounts)
+    of_lens = fitted if better is chosen else estimate(better)
+    mistakes = find_mistakes(cleaned, fitted, intrinsics, first, of_lens, mounts)
     tell(5, 5)
     points = tuple(point for point in points if point.image in kept_scene.names)
-    return HandEye(kept_scene, fitted, left, alone, off, points, mistakes, intrinsics, rms_given, weighed)
+    return HandEye(kept_scene, fitted, fitted.left_out, alone, off, points, mistakes, intrinsics, rms_given, weighed)
 
 
 def _first_start(
@@ -115,8 +110,9 @@ def _sort_points(scene: BoardScene) -> BoardScene:
     return replace(scene, image=scene.image[order], body=scene.body[order], pixels=scene.pixels[order])
 
 
-def _gain(before: LeftOutImages, after: LeftOutImages, n: int) -> float:
-    return float(n * np.log(rms(before.pixels) / rms(after.pixels)))
+def _gain(before: HandEyeFit, after: HandEyeFit) -> float:
+    errors = [rms(fit.left_out.pixels) + _ROUNDING for fit in (before, after)]
+    return float(len(before.scene) * np.log(errors[0] / errors[1]))
 
 
 def require_images(count: int) -> None:

@@ -112,9 +112,9 @@ def judge(result: HandEye) -> HandEyeJudgement:
             advice.append("turn the tool further, about two axes or more, at more poses; or calibrate the kinematics")
     used, left = rms(result.board), rms(result.left_out.board)
     if not left * _CLAIM_ABOVE < used:
-        reasons.append(
-            f"errors of images left out are {left / used:.1f} times those of images used: there are too few images"
-        )
+        times = f"errors of images left out are {left / used:.1f} times those of images used"
+        worse = times if np.isfinite(left) else "no image follows from the others"
+        reasons.append(f"{worse}: there are too few images")
         advice.append("take more images")
     graded = [("FAIL", mistake.text) for mistake in result.mistakes if mistake.whole]
     graded += [("CHECK", text) for text in reasons]
@@ -141,7 +141,7 @@ def report(result: HandEye, frames: Frames) -> str:
     judgement, half = judge(result), result.uncertainty()
     lines = [f"Hand-eye calibration of {count_noun(len(scene), 'image')}: camera {SIDES[scene.mount]}"]
     lines += judgement.lines()
-    if judgement.grade != "FAIL":
+    if judgement.grade != "FAIL" and np.isfinite(result.limit):
         lines.append(
             f"Points of new images like these are {quantity_text(rms(result.left_out.board), 'mm', '.3f')} off on the"
             f" board, {rms(result.left_out.pixels):.3f} px in the image (RMS of images left out in turn). With 95 %"

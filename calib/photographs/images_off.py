@@ -16,14 +16,15 @@ from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import ComputationError
 from calib.core.numerics import linalg
 from calib.photographs.camera_alone import point_errors
-from calib.photographs.estimation import plain, predict_left_out_images
+from calib.photographs.estimation import plain
 from calib.photographs.lens_choice import LENS_NUMBERS, free_lens
-from calib.photographs.scene import POSES, BoardScene, HandEyePlacement, HandEyeUnknowns, linearise, residuals
+from calib.photographs.scene import POSES, BoardScene, HandEyePlacement, HandEyeUnknowns, residuals, rows
 from calib.photographs.starts import Start
 
 _OFF = 5.0  # an image is left out if its error is more than this many times the median
 _LEAST_OFF = 1.0  # smaller errors are always allowed [px]
 _MOST_OFF = 1 / 3  # largest part of the images that is left out
+_UNSEEN = 3e-5  # an image does not show a motion of the tool with a smaller relative singular value
 _FEWEST = 5  # images that must stay if another is left out
 
 
@@ -102,12 +103,11 @@ def _prediction_errors(
     """RMS error of each image against the fit of the other kept ones, (n,) [px]; None without such a fit."""
     kept_scene = scene.select_images(kept)
     try:
-        placed, weights = plain(kept_scene, begin, unknowns)
+        fit = plain(kept_scene, begin, unknowns)
     except ComputationError:
         return None
-    result = scene.rms_by_image(residuals(scene, placed))
-    left = predict_left_out_images(kept_scene, placed, unknowns, weights)
-    result[kept] = kept_scene.rms_by_image(left.pixels)
+    result = scene.rms_by_image(residuals(scene, fit.placed))
+    result[kept] = kept_scene.rms_by_image(fit.left_out.pixels)
     return result
 
 
@@ -115,11 +115,12 @@ def images_far_off(scene: BoardScene, kept: BoolArray, begin: Start) -> tuple[Of
     """Return the images that are not `kept` (n,), each with the motion of the tool that would make it fit."""
     if np.all(kept):
         return ()
-    placed, _ = plain(scene.select_images(kept), begin.placed)
-    linear, off = linearise(scene, placed), scene.rms_by_image(residuals(scene, placed))
+    placed = plain(scene.select_images(kept), begin.placed).placed
+    (r, _, by_error), off = rows(scene, placed), scene.rms_by_image(residuals(scene, placed))
     named = []
     for i in np.flatnonzero(~kept):
-        error = linalg.lstsq(linear.gg[i], linear.gr[i], rcond=1e-9)
+        own = scene.image == i
+        error = linalg.lstsq(by_error[own].reshape(-1, 6), r[own].ravel(), rcond=_UNSEEN)
         shift, turn = map(float, np.linalg.norm(error.reshape(2, 3), axis=1))
         named.append(OffImage(scene.names[i], float(off[i]), shift, turn))
     return tuple(sorted(named, key=lambda image: -image.rms_px))

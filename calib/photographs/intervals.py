@@ -1,17 +1,18 @@
 """Intervals of camera, board and lens, with errors of single images and errors that follow the robot's pose.
 
-Estimates are least squares with weights W, x = A^-1 J^T W r with A = J^T W J + P. Residuals have the covariance
-V = s^2 I + G S^2 G^T + s_a^2 H H^T (`calib.photographs.shared_errors`), H = G N the columns of the arm's errors. So
+Estimates are least squares with weights W, x = A^-1 J^T W r with A = J^T W J + P. Residuals have the errors
+of `calib.photographs.shared_errors`: of pixels, of the tool at each image, and of the arm, with columns H = G N. So
 
-    cov x = A^-1 (s^2 J^T W W J + J^T W G S^2 G^T W J + s_a^2 J^T W H H^T W J + P) A^-1
+    cov x = A^-1 (s^2 J^T W W J + sum of s_f^2 J^T W X_f X_f^T W J + P) A^-1
 
-The estimate depends on W alone; only the intervals contain the errors of the arm. J^T W H is the effect of these errors
-on camera and board, whether residuals show them or not. Their size s_a comes from the part of the residuals that
-follows the pose, together with the sizes s_t and s_r of the robot's other errors.
+with X_f the columns of shifts of the tool, of turns of the tool, and of errors of the arm. The estimate depends on W
+alone; only the intervals contain the errors of the arm. J^T W H is the effect of these errors on camera and board,
+whether residuals show them or not. Their size s_a comes from the part of the residuals that follows the pose, together
+with the sizes of the tool's errors.
 
 Since the four sizes are estimates, intervals are widened by Student's t with Satterthwaite's degrees of freedom
-2 v^2 / (g^T C g), for a variance v with gradient g by the logarithms of the sizes, and C the inverse of half the
-curvature of the criterion.
+2 v^2 / (g^T C g), for a variance v with gradient g by the sizes, and C the inverse of their information
+(`calib.core.numerics.size_search`).
 
 Meaning. The intervals are of C and M in the real flange and the real base of the robot. Residuals alone would only give
 the C and M that fit best to its nominal poses.
@@ -51,11 +52,12 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.numerics import linalg
-from calib.photographs.scene import ImageSums
-from calib.photographs.shared_errors import ErrorSizes, curvature, find_noise, gains, logarithms, normal_equations
+from calib.core.numerics.mixed_model import SolvedModel
+from calib.core.numerics.size_search import information_by_size
+from calib.photographs.shared_errors import EXPECTED, ErrorSizes, ImageRows
 
 _LINK = 5 / 8  # length of a link, over the largest reach
+_MANY = 1e6  # degrees of freedom of a known size
 
 
 def arm_twists(tool: FloatArray) -> FloatArray:
@@ -85,37 +87,23 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 1e-9)
 
 
-_STEP = 1e-3  # step of logarithms for differences
-_MANY = 1e6  # degrees of freedom of a known size
-
-
 def intervals(
-    linear: ImageSums, twists: FloatArray, weights: ErrorSizes, near: ErrorSizes
-) -> tuple[float, FloatArray, FloatArray]:
-    """Return the size of the arm's errors, the covariance of the unknowns (k, k), and degrees of freedom (k,).
+    rows: ImageRows, twists: FloatArray, weights: ErrorSizes, at: SolvedModel
+) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance of the scaled unknowns (k, k), and their degrees of freedom (k,).
 
-    `twists` are motions of the tool by each error of the arm, (n, 6, 24); `near` are sizes of the other errors.
+    `twists` are motions of the tool by each error of the arm, (n, 6, 24), and `at` has the sizes of all errors.
     """
-    wide = linear.with_arm(twists)
-    noise = find_noise(wide, near)
-    logs = logarithms(noise, wide)
-    inverse = np.linalg.inv(normal_equations(linear, weights)[0])
-    weighed = linear.jg @ gains(linear, weights)
-    by_pixel = linear.jj - 2 * weighed @ linear.jg.transpose(0, 2, 1) + weighed @ linear.gg @ weighed.transpose(0, 2, 1)
-    pixels = np.sum(by_pixel, axis=0) / weights.pixel**4
-    by_image = (linear.jg - weighed @ linear.gg) / weights.pixel**2
-    by_arm = np.sum(by_image @ twists, axis=0)
-
-    def covariance_of(at: FloatArray) -> FloatArray:
-        pixel, shift, turn, arm = np.exp(2 * at)
-        images = np.sum((by_image * np.repeat([shift, turn], 3)) @ by_image.transpose(0, 2, 1), axis=0)
-        return inverse @ (pixel * pixels + images + arm * by_arm @ by_arm.T + np.diag(linear.weight)) @ inverse
-
-    covariance, (sizes, bends) = covariance_of(logs), curvature(wide, logs)
-    unit = np.eye(len(logs))[sizes] * _STEP
-    slopes = [(np.diag(covariance_of(logs + step)) - np.diag(covariance_of(logs - step))) / 2e-3 for step in unit]
-    slope = np.array(slopes).reshape(len(sizes), -1)
-    variance = np.einsum("ik,ij,jk->k", slope, linalg.pinv(bends / 2, hermitian=True), slope)
-    with np.errstate(over="ignore"):  # sizes that are known exactly
-        freedom = np.where(variance > 0, 2 * np.diag(covariance) ** 2 / np.maximum(variance, 1e-300), _MANY)
-    return noise.arm, covariance, np.clip(freedom, 1.0, _MANY)
+    model = rows.weigh(weights)
+    weighed, levers = rows.whiten(weights, model.jacobian, rows.levers)
+    pulls = np.zeros((len(twists), model.jacobian.shape[1], 6))  # J^T W G of each image
+    np.add.at(pulls, rows.image, model.jacobian[:, :, None] * levers[:, None])
+    tool = EXPECTED * pulls.transpose(1, 0, 2)
+    by_size = [tool[:, :, :3], tool[:, :, 3:], EXPECTED * np.sum(pulls @ twists, axis=0), weighed.T]
+    inverse, sizes = model.posterior_information.covariance, np.exp(at.logs)
+    moved = [inverse @ part.reshape(len(inverse), -1) for part in by_size]  # by errors of size 1
+    known = inverse[:, model.prior.has]
+    covariance = known @ known.T + sum(size**2 * part @ part.T for size, part in zip(sizes, moved, strict=True))
+    slopes = 2 * sizes[:, None] * np.array([np.sum(part**2, axis=1) for part in moved])
+    variance = np.sum(slopes * np.linalg.solve(information_by_size(at), slopes), axis=0)
+    return covariance, np.clip(2 * np.diag(covariance) ** 2 / variance, 1.0, _MANY)

@@ -1,4 +1,4 @@
-"""Choices for the lens of a hand-eye calibration, each with its errors at left-out images.
+"""Choices for the lens of a hand-eye calibration.
 
 Left-out images show distortion badly, because the robot's errors are larger. Single images with a freely placed board
 show it well. If two numbers of distortion explain more of their residuals than chance does (an F test), a lens without
@@ -8,7 +8,7 @@ distortion is no choice.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -18,7 +18,7 @@ from calib.core.base.errors import ComputationError, NotIdentifiableError
 from calib.core.instruments.camera import NAMES
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.photographs.camera_alone import camera_alone
-from calib.photographs.estimation import LeftOutImages, plain, predict_left_out_images
+from calib.photographs.estimation import HandEyeFit, plain
 from calib.photographs.scene import POSES, BoardScene, HandEyePlacement, HandEyeUnknowns
 
 LENSES = ("auto", "given", "found")
@@ -59,36 +59,22 @@ def free_lens(first: FloatArray, scene: BoardScene, given: bool, count: int = le
     return HandEyeUnknowns(free, first[list(free)], sigma[:count])
 
 
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """A choice for the lens, fitted with equal weights."""
-
-    placed: HandEyePlacement
-    unknowns: HandEyeUnknowns
-    left_out: LeftOutImages
-
-
-def _choice(scene: BoardScene, begin: HandEyePlacement, unknowns: HandEyeUnknowns) -> Choice:
-    placed, weights = plain(scene, begin, unknowns)
-    return Choice(placed, unknowns, predict_left_out_images(scene, placed, unknowns, weights))
-
-
 def lens_choices(
     scene: BoardScene, begin: HandEyePlacement, first: FloatArray, intrinsics: FloatArray | None, lens: str
-) -> list[Choice]:
-    """Return choices for the lens: intrinsics (9,) as given, then fitted with distortion from `first` ones, (9,).
+) -> list[HandEyeFit]:
+    """Return fits of choices for the lens: intrinsics (9,) as given, then with distortion from `first` ones, (9,).
 
     A fit without distortion is a choice too if no lens is given and single images show no distortion.
 
     Raises:
         NotIdentifiableError: The images do not determine the lens of any choice.
     """
-    result: list[Choice] = []
+    result: list[HandEyeFit] = []
     if intrinsics is not None and lens != "found":
-        result.append(_choice(scene, replace(begin, intrinsics=intrinsics), POSES))
+        result.append(plain(scene, replace(begin, intrinsics=intrinsics), POSES))
     for count in (6,) if intrinsics is not None or _is_distorted(scene, begin.intrinsics) else (4, 6):
         with suppress(ComputationError, np.linalg.LinAlgError):
-            result.append(_choice(scene, begin, free_lens(first, scene, first is intrinsics, count)))
+            result.append(plain(scene, begin, free_lens(first, scene, first is intrinsics, count)))
     if not result:
         plain(scene, begin)  # raises an error that names the undetermined unknowns
         raise NotIdentifiableError("the photographs do not determine the lens; give intrinsics (--camera FILE)")

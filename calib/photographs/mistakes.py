@@ -35,22 +35,13 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import CalibrationError
 from calib.core.base.units import quantity_text
 from calib.core.instruments.camera import NAMES
-from calib.core.numerics import linalg
-from calib.core.numerics.clusters import shifts_without_block
+from calib.core.numerics.identifiability import extend_reduced
+from calib.core.numerics.linear_model import LinearModel
 from calib.photographs.camera_alone import camera_alone
-from calib.photographs.estimation import HandEyeEstimate, estimate, predict_left_out_images, rms, solve
+from calib.photographs.estimation import HandEyeEstimate, estimate, left_out_errors, plain, rms, solve
 from calib.photographs.lens_choice import free_lens, unlikely
-from calib.photographs.scene import (
-    OTHER,
-    SIDES,
-    BoardScene,
-    HandEyePlacement,
-    Mount,
-    linearise,
-    residuals,
-    rows,
-)
-from calib.photographs.shared_errors import ErrorSizes, deviance, find_noise, normal_equations
+from calib.photographs.scene import OTHER, SIDES, BoardScene, HandEyePlacement, Mount, residuals
+from calib.photographs.shared_errors import ErrorSizes, ImageRows
 from calib.photographs.starts import image_rms, start
 
 _SHIFTS = (1, -1, 2, -2)
@@ -157,7 +148,6 @@ class Mistake:
 
 def find_mistakes(
     every: BoardScene,
-    used: BoardScene,
     fitted: HandEyeEstimate,
     given: FloatArray | None,
     first: FloatArray,
@@ -166,17 +156,17 @@ def find_mistakes(
 ) -> tuple[Mistake, ...]:
     """Return mistakes that would explain the residuals, those that spoil the whole result first.
 
-    Of `every` image, some are `used` and `fitted`; `better` has a fitted lens if that predicts left-out images better.
+    Of `every` image, some are `fitted`; `better` has a fitted lens if that predicts left-out images better.
     Intrinsics as `given` and the `first` ones are (9,).
     """
-    lens = _mistakes_of_lens(used, fitted, better, given)
+    lens = _mistakes_of_lens(fitted, better, given)
     result = [] if any(mistake.whole for mistake in lens) else _mistakes_of_whole(every, fitted, first, mounts)
     if [mistake.code for mistake in result] == [_UNKNOWN]:
-        moved = _check_move(used, fitted)
+        moved = _check_move(fitted)
         result = result if moved is None else [replace(moved, whole=True)]
     if not any(mistake.whole for mistake in lens + result):
-        exchanged = _check_exchange(fitted.placed, used.mount) if len(mounts) > 1 else None
-        likely = (_square_size(used, fitted), _check_move(used, fitted), exchanged)
+        exchanged = _check_exchange(fitted.placed, fitted.scene.mount) if len(mounts) > 1 else None
+        likely = (_square_size(fitted), _check_move(fitted), exchanged)
         result += [mistake for mistake in likely if mistake is not None]
     return tuple(sorted(result + lens, key=lambda mistake: not mistake.whole))
 
@@ -240,20 +230,17 @@ def _check_exchange(placed: HandEyePlacement, mount: Mount) -> Mistake | None:
     )
 
 
-def _square_size(scene: BoardScene, fitted: HandEyeEstimate) -> Mistake | None:
+def _square_size(fitted: HandEyeEstimate) -> Mistake | None:
     """The mistake of another board size than described, if likely."""
     try:
-        other = estimate(scene, fitted.placed, replace(fitted.unknowns, scaled=True), near=fitted.noise)
+        other = estimate(plain(fitted.scene, fitted.placed, replace(fitted.unknowns, scaled=True)))
     except (CalibrationError, np.linalg.LinAlgError):
         return None
     std, change = float(np.sqrt(other.covariance[-1, -1])), other.placed.scale - 1.0
     chance = 2 * float(scipy.special.stdtr(other.freedom[-1], -abs(change) / std))
     if abs(change) < _SCALE or chance > _CHANCE:
         return None
-    before, after = (
-        rms(predict_left_out_images(scene, each.placed, each.unknowns, each.weights).pixels) ** 2
-        for each in (fitted, other)
-    )
+    before, after = (rms(fit.left_out.pixels) ** 2 for fit in (fitted, other))
     if not after < _BETTER * before:
         return None
     return Mistake(
@@ -263,62 +250,51 @@ def _square_size(scene: BoardScene, fitted: HandEyeEstimate) -> Mistake | None:
     )
 
 
-def _check_move(scene: BoardScene, fitted: HandEyeEstimate) -> Mistake | None:
+def _check_move(fitted: HandEyeEstimate) -> Mistake | None:
     """The mistake of a board or camera that moved after some image, if likely."""
-    n = len(scene)
+    n, rows = len(fitted.scene), fitted.rows
     if n < 8:
         return None
-    linear = linearise(scene, fitted.placed, fitted.unknowns)
-    before = deviance(linear, find_noise(linear, fitted.noise))
-    best: tuple[float, int, str, FloatArray] = (0.0, 0, "", np.zeros(6))
-    for which, first in (("board", 6), ("camera", 0)):
-        chosen, none = np.eye(linear.jj.shape[1])[:, first : first + 6], np.zeros((n, 6, 6))
-        # six further unknowns: a step in later images
-        moved_from = [linear.with_columns((np.arange(n) >= k)[:, None, None] * chosen, none) for k in range(3, n - 2)]
-        left = [deviance(each, fitted.noise) for each in moved_from]  # at the same noise
-        most = moved_from[int(np.argmin(left))]
-        noise = find_noise(most, fitted.noise)
-        gained = before - deviance(most, noise)
-        if gained > best[0]:
-            a, b, _ = normal_equations(most, noise)
-            best = gained, 3 + int(np.argmin(left)), which, -linalg.lstsq(a, b, rcond=1e-12)[-6:]
-    gained, k, which, step = best
+
+    def wider(move: tuple[str, int]) -> ImageRows:
+        """The rows with six further unknowns, a step in later images."""
+        which, k = move
+        columns = rows.pixels.jacobian[:, 6:12] if which == "board" else rows.pixels.jacobian[:, :6]
+        return rows.with_columns(columns * (rows.image >= k)[:, None])
+
+    moves = [(which, k) for which in ("board", "camera") for k in range(3, n - 2)]
+    which, k = best = min(moves, key=lambda move: _least_cost(wider(move).weigh(fitted.noise)))
+    most = wider(best)
+    noise = ErrorSizes.from_model(most.find_sizes())
+    model = most.weigh(noise)
+    gained = max(_least_cost(rows.weigh(noise)) - _least_cost(model), 0.0)
+    step = fitted.unknowns.scales[:6] * model.step()[-6:]
     moved, turned = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
-    chance = 2 * (n - 5) * float(scipy.special.chdtrc(6, max(gained, 0.0)))
-    if chance > _CHANCE or (moved < _MOVED and turned < _TURNED) or not _explains(scene, fitted, k, which):
+    chance = len(moves) * float(scipy.special.fdtrc(6, 6 * n - len(model.deviations), gained / 6))
+    before, after = (float(np.sum(left_out_errors(each, fitted.weights) ** 2)) for each in (rows, most))
+    if chance > _CHANCE or (moved < _MOVED and turned < _TURNED) or not after < _BETTER * before:
         return None
     return Mistake(
         "moved",
-        f"the {which} moved before image {scene.names[k]}, by {quantity_text(moved, 'mm', '.1f')} and"
+        f"the {which} moved before image {fitted.scene.names[k]}, by {quantity_text(moved, 'mm', '.1f')} and"
         f" {quantity_text(turned, 'deg', '.2f')}:"
         " fix it, and take the images again (or calibrate twice: with the images before, and with those after)",
     )
 
 
-def _explains(scene: BoardScene, fitted: HandEyeEstimate, k: int, which: str) -> bool:
-    """Whether a move predicts left-out images better, each by the linear problem without it."""
-    r, j, _ = rows(scene, fitted.placed, fitted.unknowns)
-    moved_columns = slice(6, 12) if which == "board" else slice(0, 6)
-    wide = np.concatenate([j, j[:, :, moved_columns] * (scene.image >= k)[:, None, None]], axis=2)
-
-    def error(columns: FloatArray) -> float:
-        flat, image = columns.reshape(r.size, -1), np.repeat(scene.image, 2)
-        span = np.linalg.qr(flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300))[0]
-        left = r.ravel() - span @ (span.T @ r.ravel())
-        return float(np.sum((left + shifts_without_block(span, image, left, alone=1.0 - 1e-9)[0]) ** 2))
-
-    return error(wide) < _BETTER * error(j)
+def _least_cost(model: LinearModel) -> float:
+    """Cost of a linear model at its minimum."""
+    prior = model.prior
+    return float(extend_reduced(model.factor, prior.rows, prior.times(model.deviations))[-1, -1] ** 2)
 
 
-def _mistakes_of_lens(
-    scene: BoardScene, fitted: HandEyeEstimate, better: HandEyeEstimate, given: FloatArray | None
-) -> list[Mistake]:
+def _mistakes_of_lens(fitted: HandEyeEstimate, better: HandEyeEstimate, given: FloatArray | None) -> list[Mistake]:
     """Mistakes in given intrinsics, (9,): implausible values, and contradictions to the photographs."""
     if given is None:
         return []
     free = list(better.unknowns.free)
     swap = _swapped_numbers(given, better) if free else ""
-    result = [] if swap else [Mistake(code, text) for code, text in unlikely(given, scene.size)]
+    result = [] if swap else [Mistake(code, text) for code, text in unlikely(given, fitted.scene.size)]
     if not free:
         return result
     kept = not fitted.unknowns.free  # the given intrinsics are used although others are better
@@ -337,7 +313,7 @@ def _mistakes_of_lens(
             f"{NAMES[number]} is given as {given[number]:.{digits}f}, and found as"
             f" {better.placed.intrinsics[number]:.{digits}f} ± {std[k]:.{digits}f}"
         )
-    before, after = (float(np.median(image_rms(scene, each.placed))) for each in (fitted, better))
+    before, after = (float(np.median(image_rms(fitted.scene, each.placed))) for each in (fitted, better))
     text = f"the intrinsics given contradict the photographs: {', '.join(numbers)}{f' ({swap})' if swap else ''}; " + (
         "let them be found (leave out --lens given)" if kept else "those found are used"
     )

@@ -10,10 +10,6 @@ the camera. Pixels follow by `calib.core.instruments.camera`. Unknown are C, M a
 its own axes, C exp(xi), and so does an error e_i of the robot at an image, L_i exp(e_i): e_i = [d; w] moves the tool by
 d and turns it by w.
 
-The solver needs only sums over the points of each image: J^T J, J^T G, G^T G, J^T r, G^T r and r^T r. Here r are the
-residuals, J is their derivative by the unknowns, and G their derivative by e_i. Weights for errors that the points of
-an image share are then algebra with 6 x 6 matrices (`calib.photographs.shared_errors`).
-
 Parameters here: `placed` or `start`, poses of camera and board with the intrinsics; `unknowns`, what is fitted
 besides these poses; `noise`, sizes of errors; `intrinsics`, (9,); `mounts`, possible mounts of the camera.
 """
@@ -30,12 +26,14 @@ import pinocchio as pin
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.instruments.board import Board
 from calib.core.instruments.camera import project, rays
+from calib.core.numerics.prior import Prior
 from calib.core.numerics.rigid import cross_matrices
 from calib.photographs.detection import DetectedImage
 
 Mount = Literal["tool", "base"]
 SIDES: dict[Mount, str] = {"tool": "on the tool", "base": "beside the robot"}
 OTHER: dict[Mount, Mount] = {"tool": "base", "base": "tool"}
+_CHANGE = 0.01  # reasonable change of a pose [m, rad], and of the size of the board
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +128,7 @@ class HandEyePlacement(ReadOnlyArrays):
     scale: float = 1.0
 
     def step(self, step: FloatArray, unknowns: HandEyeUnknowns) -> HandEyePlacement:
-        """Return the placement after a step [camera 6, board 6, intrinsics, scale], (k,), as columns of `ImageSums`."""
+        """Return the placement after a step [camera 6, board 6, intrinsics, scale], (k,)."""
         intrinsics, scale = self.intrinsics.copy(), self.scale
         intrinsics[list(unknowns.free)] += step[unknowns.lens]
         if unknowns.scaled:
@@ -164,53 +162,19 @@ class HandEyeUnknowns(ReadOnlyArrays):
         """Columns of the intrinsics."""
         return slice(12, 12 + len(self.free))
 
+    @property
+    def scales(self) -> FloatArray:
+        """Reasonable changes of all unknowns, the sigmas of the intrinsics, (k,) [m, rad, px, 1]."""
+        return np.concatenate([np.full(12, _CHANGE), self.sigma, np.full(int(self.scaled), _CHANGE)])
+
+    @property
+    def prior(self) -> Prior:
+        """Prior of the unknowns, divided by `scales`."""
+        return Prior(np.isin(np.arange(len(self.scales)), np.arange(12, 12 + len(self.free))))
+
 
 POSES = HandEyeUnknowns()
 """Only the poses of camera and board are fitted."""
-
-
-@dataclass(frozen=True, eq=False)
-class ImageSums(ReadOnlyArrays):
-    """Residuals and derivatives, summed over the points of each image; see the module docstring.
-
-    Attributes:
-        jj, jg, gg: J^T J, J^T G, G^T G, (n, k, k), (n, k, 6), (n, 6, 6).
-        jr, gr, rr: J^T r, G^T r, r^T r, (n, k), (n, 6), (n,).
-        n_rows: Rows of each image, (n,).
-        weight, off: Prior of the unknowns: 1 / sigma^2 (0: none), and present minus expected values, (k,) each.
-        n_arm: Number of columns, the last ones, for errors of the arm (`calib.photographs.intervals`).
-    """
-
-    jj: FloatArray
-    jg: FloatArray
-    gg: FloatArray
-    jr: FloatArray
-    gr: FloatArray
-    rr: FloatArray
-    n_rows: IntArray
-    weight: FloatArray
-    off: FloatArray
-    n_arm: int = 0
-
-    def with_columns(self, by_unknowns: FloatArray, by_errors: FloatArray, n_arm: int = 0) -> ImageSums:
-        """Return the sums with further columns J a + G b of J, a (n, k, c) and b (n, 6, c); `n_arm` of them are of the
-        arm.
-        """
-        a, b = by_unknowns.transpose(0, 2, 1), by_errors.transpose(0, 2, 1)
-        j_new = self.jj @ by_unknowns + self.jg @ by_errors
-        new_g = a @ self.jg + b @ self.gg
-        jj = np.block([[self.jj, j_new], [j_new.transpose(0, 2, 1), a @ j_new + new_g @ by_errors]])
-        jr = np.concatenate(
-            [self.jr, np.einsum("nck,nk->nc", a, self.jr) + np.einsum("nck,nk->nc", b, self.gr)], axis=1
-        )
-        weight, off = (np.pad(part, (0, a.shape[1])) for part in (self.weight, self.off))
-        jg = np.concatenate([self.jg, new_g], axis=1)
-        return replace(self, jj=jj, jg=jg, jr=jr, weight=weight, off=off, n_arm=n_arm)
-
-    def with_arm(self, twists: FloatArray) -> ImageSums:
-        """Return the sums with further columns for errors of the arm, which move the tool by `twists`, (n, 6, k)."""
-        n, _, n_arm = twists.shape
-        return self.with_columns(np.zeros((n, self.jj.shape[1], n_arm)), twists, n_arm)
 
 
 def points_in_camera(scene: BoardScene, placed: HandEyePlacement) -> tuple[FloatArray, FloatArray]:
@@ -238,38 +202,9 @@ def rows(
     columns = [by_point @ by_camera, by_point @ by_board, by_number[:, :, list(unknowns.free)]]
     if unknowns.scaled:
         columns.append(by_point @ np.einsum("kab,kb->ka", turned, scene.body)[:, :, None])
-    return (
-        pixels - scene.pixels,
-        np.concatenate(columns, axis=2),
-        by_point @ _robot_error_derivative(scene, placed, body),
-    )
-
-
-def _robot_error_derivative(scene: BoardScene, placed: HandEyePlacement, body: FloatArray) -> FloatArray:
-    """Derivative of points in the camera by an error of the robot's tool, (m, 3, 6)."""
-    if scene.mount == "base":
-        carried = body @ placed.board[:3, :3].T + placed.board[:3, 3]  # in the tool
-        turned = (placed.camera[:3, :3].T @ scene.tool[:, :3, :3])[scene.image]
-        return np.concatenate([turned, -turned @ cross_matrices(carried)], axis=2)
-    seen = (scene.links @ placed.board)[scene.image]
-    carried = np.einsum("kab,kb->ka", seen[:, :3, :3], body) + seen[:, :3, 3]
-    turned = np.tile(placed.camera[:3, :3].T, (len(body), 1, 1))
-    return -np.concatenate([turned, -turned @ cross_matrices(carried)], axis=2)
-
-
-def linearise(scene: BoardScene, placed: HandEyePlacement, unknowns: HandEyeUnknowns = POSES) -> ImageSums:
-    """Return residuals and derivatives, summed over the points of each image; see `rows`."""
-    r, j, g = rows(scene, placed, unknowns)
-    k = j.shape[2]
-    wide = np.concatenate([j, g, r[:, :, None]], axis=2)
-    images = (part.reshape(-1, k + 7) for part in np.split(wide, np.cumsum(scene.counts)[:-1]))
-    squares = np.array([part.T @ part for part in images])
-    jj, jg, gg = squares[:, :k, :k], squares[:, :k, k:-1], squares[:, k:-1, k:-1]
-    jr, gr, rr = squares[:, :k, -1], squares[:, k:-1, -1], squares[:, -1, -1]
-    weight, off = np.zeros((2, k))
-    weight[unknowns.lens] = 1.0 / unknowns.sigma**2
-    off[unknowns.lens] = placed.intrinsics[list(unknowns.free)] - unknowns.expected
-    return ImageSums(jj, jg, gg, jr, gr, rr, 2 * scene.counts, weight, off)
+    on_tool, by_pose = (placed.camera, columns[0]) if scene.mount == "tool" else (placed.board, columns[1])
+    # exp(e) T = T exp(Ad(T^-1) e): an error of the tool moves what is on it, by a pose T
+    return pixels - scene.pixels, np.concatenate(columns, axis=2), by_pose @ pin.SE3(on_tool).actionInverse
 
 
 def plane_errors_on_board(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:

@@ -163,7 +163,7 @@ def tried(number, errors, seed):
     own = every.select_images(np.isin(np.arange(n + NEW), order[:n]))
     new = every.select_images(np.isin(np.arange(n + NEW), order[n:]))
     result = calibrate(own, INTRINSICS, mounts=(mount,))
-    reference, _ = plain(own, real)
+    reference = plain(own, real).placed
     off = rms(plane_errors_on_board(new, result.fitted.placed))
     line = Line(
         off / rms(plane_errors_on_board(new, reference)),

@@ -218,11 +218,13 @@ def whiten_scatter(levers: FloatArray, pose: IntArray, *arrays: FloatArray) -> l
     result = [array.copy() for array in arrays]
     for places in blocks_of_equal_length(pose) if np.any(levers) else ():
         own = levers[places]
-        values, turn = linalg.eigh(np.matmul(own, own.swapaxes(1, 2)))
-        root = np.matmul(turn / np.sqrt(1.0 + np.maximum(values, 0.0))[:, None], turn.swapaxes(1, 2))
+        values, turn = linalg.eigh(np.matmul(own.swapaxes(1, 2), own))
+        root = np.sqrt(1.0 + np.maximum(values, 0.0))
+        across = np.matmul(own, turn)  # (1 + H H^T)^-1/2 = 1 - A diag(1 / (root + root^2)) A^T with A = H `turn`
         for array in result:
             flat = array[places].reshape(*places.shape, -1)
-            array[places] = np.matmul(root, flat).reshape(*places.shape, *array.shape[1:])
+            inner = np.matmul(across.swapaxes(1, 2), flat) / (root + root**2)[:, :, None]
+            array[places] -= np.matmul(across, inner).reshape(array[places].shape)
     return result
 
 

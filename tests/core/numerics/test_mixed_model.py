@@ -372,6 +372,16 @@ def test_the_scatter_depends_on_no_component_that_a_solution_omits(small):
     assert scatter_given_noise(few) == pytest.approx(scatter_given_noise(every), rel=1e-9)
 
 
+@pytest.mark.parametrize("n_levers", [2, 7])
+def test_rows_with_scatter_are_whitened_by_the_root_of_their_covariance(n_levers):
+    levers = np.random.default_rng(2).standard_normal((8, n_levers))
+    pose = np.array([0, 0, 0, 1, 1, 1, 1, 1])
+    covariance = np.where(pose[:, None] == pose, levers @ levers.T, 0.0) + np.eye(8)
+    root = whiten_scatter(levers, pose, np.eye(8))[0]
+    np.testing.assert_allclose(root @ covariance @ root, np.eye(8), atol=1e-12)
+    np.testing.assert_allclose(root, root.T, atol=1e-13)
+
+
 def test_noise_beside_a_scatter_is_that_of_the_rows():
     """Of rows whose scatter is known; their whitened values have the variance 1, and are independent."""
     rng, n = np.random.default_rng(9), 3000

@@ -59,7 +59,7 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
     layout, noise, apart = rows.layout, np.full(rows.layout.n_rows, statistics.factors.common), list[Regions]()
     for name, regions in cuts.items():
         of_row = regions[layout.visit[layout.reading]]
-        moved = scatter(rows.span, rows.residuals, noise, of_row, statistics.freedom, level=0.0)  # without core
+        moved = scatter(rows.span, rows.residuals, noise, of_row, statistics.freedom)
         poses = statistics.shared_scatter
         ratio, chance = (moved.ratio, moved.chance) if poses is None else moved.ratio_to(poses)
         if chance < HARDLY / len(cuts) and ratio > 1.0:

@@ -322,8 +322,8 @@ def scatter_of_poses(
     pulling = rows.residuals if weights is None else weights[layout.reading] * rows.residuals
     several = layout.n_readings >= 2 * len(np.unique(layout.pose))  # these probably share an error
     level = HARDLY if several else UNLIKELY
-    found = scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom, level)
-    return None if found.core is None else found
+    found = scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom)
+    return found if found.ratio > 1.0 and found.chance < level else None
 
 
 def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Convergence:

@@ -88,9 +88,13 @@ class ErrorSet(ReadOnlyArrays):
         parts = [part for _, part, _ in self.parts()]
         return next((part for part in parts if part.is_position), parts[0])
 
+    def squares(self, state: str) -> FloatArray:
+        """Return the squared errors `before` or `after` of the main part, (n,) [SI, squared]."""
+        return np.asarray(np.nansum(self.errors(state, self.main_part.name) ** 2, axis=1))
+
     def rms(self, state: str) -> float:
         """Return the root mean square error `before` or `after` of the main part [SI]."""
-        return float(np.sqrt(np.mean(np.nansum(self.errors(state, self.main_part.name) ** 2, axis=1))))
+        return float(np.sqrt(np.mean(self.squares(state))))
 
     def table(self) -> dict[str, dict[str, object]]:
         """Return error tables `before` and `after` of the main part of all readings [mm for positions]."""

@@ -59,7 +59,6 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel, RowGroups
@@ -381,13 +380,7 @@ def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: Floa
     spread = spread_of_sizes(covariance, family)
     slopes = np.stack([2.0 * covariance[:, index] @ deviations[index] for index in members], axis=1)
     added: FloatArray = slopes @ spread @ slopes.T
-    weights, columns = list[FloatArray](), list[FloatArray]()
     for f, index in enumerate(members):
-        values, vectors = linalg.eigh(covariance[np.ix_(index, index)])
-        weights.append(spread[f, f] * (4.0 * values - 2.0))
-        columns.append(covariance[:, index] @ vectors)
-    scaled = np.concatenate(columns, axis=1) * np.sqrt(np.abs(weight := np.concatenate(weights)))
-    for sign in (1.0, -1.0):  # products with their own transpose: half of the work
-        part = scaled[:, np.sign(weight) == sign]
-        added += sign * (part @ part.T)
+        own, bend = covariance[:, index], 4.0 * covariance[np.ix_(index, index)] - 2.0 * np.eye(len(index))
+        added += spread[f, f] * (own @ bend @ own.T)
     return added

@@ -161,12 +161,6 @@ class Statistics(ReadOnlyArrays):
         wider = np.divide(std, self.std, out=np.full_like(std, factor), where=self.std > 0)
         return replace(self, std=std, wider=wider * self.wider)
 
-    def correlations(self) -> FloatArray:
-        """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN without scatter."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            unit = self.covariance / self.std / self.std[:, None]
-        return np.clip(unit, -1.0, 1.0)
-
 
 def status(
     data_share: FloatArray, relative_std: FloatArray, prior: BoolArray, placement: BoolArray

@@ -14,7 +14,6 @@ larger ones fewer. So where they are fewer at the largest scales that chance exp
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -38,7 +37,6 @@ from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.size_search import find_sizes, variance_by_sizes
 from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, find_factors, statistics
 from calib.core.numerics.tall import Span, squares_of_rows
-from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 from calib.core.rows.rows import Rows
 from calib.core.rows.unknowns import Unknowns
@@ -52,7 +50,6 @@ _NO_NOISE = (
     "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
     " --sigma-mm)"
 )
-_ALIKE = 1e-12  # difference of residuals of robots that move alike: rounding [SI]
 STEP_LEFT = 0.05
 """A fit has converged if its distance from the minimum is at most this many standard deviations."""
 _FAR = 0.5  # receding parameters are named if they still move by this part of the largest step
@@ -89,26 +86,6 @@ def place(problem: Problem) -> Evaluation:
             "placing the base and the targets did not converge; check units and axes of the measurements"
         )
     return placed
-
-
-def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, FloatArray]) -> Evaluation | None:
-    """Return the result of `place` from another robot placed by the same readings; None if robots differ.
-
-    Args:
-        residuals: Residuals of the other robot, (n_readings, n_rows) [SI] by instrument.
-    """
-    unknowns, readings = problem.unknowns, problem.data.readings
-    known = other.values_by_name
-    places = [unknowns.names[k] for k in np.flatnonzero(unknowns.placement)]
-    sizes = {name: len(own) for name, own in readings.items()}
-    if not known.keys() >= set(places) or sizes != {name: len(own) for name, own in residuals.items()}:
-        return None
-    placed = problem.evaluate(problem.robot.with_parameters({name: known[name] for name in places}))
-    moves_alike = all(
-        np.allclose(own, residuals[name], rtol=0.0, atol=_ALIKE, equal_nan=True)
-        for name, own in placed.residuals.items()
-    )
-    return placed if moves_alike else None
 
 
 def reset_unseen(problem: Problem, placed: Evaluation) -> Evaluation:

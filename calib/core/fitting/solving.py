@@ -31,7 +31,6 @@ from calib.core.fitting.solved_fit import Convergence
 from calib.core.fitting.starts import explore
 from calib.core.numerics.chances import EXACT, HARDLY, UNLIKELY
 from calib.core.numerics.clusters import Scatter, scatter
-from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE
 from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.size_search import find_sizes, variance_by_sizes
@@ -39,7 +38,6 @@ from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, fi
 from calib.core.numerics.tall import Span, squares_of_rows
 from calib.core.rows.registration import register
 from calib.core.rows.rows import Rows
-from calib.core.rows.unknowns import Unknowns
 
 _LOOSE = 1e-3  # tolerance of the solver where another solve follows
 _PLACED = 1e-6  # tolerance for the state `before`: its errors then hold to a millionth
@@ -72,8 +70,6 @@ def place(problem: Problem) -> Evaluation:
     if not len(places):
         return problem.evaluate(robot)
     placed, solution = problem.evaluate(register(robot, problem.data)), None
-    if not np.any(places.prior.has) and _is_best_placed(problem, placed, places):
-        return placed
     groups = _as_found(problem, placed, problem.whitening.start(placed.residuals))
     for _ in range(_NOISE_ROUNDS):
         placed, solution = problem.solve(placed, groups, places, tolerance=_PLACED)
@@ -115,14 +111,6 @@ def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> F
         left = max(int(np.sum(rows)) - n_places, 1)
         result[g] = np.sqrt(float(flat[rows] @ flat[rows]) / left) + EXACT
     return result
-
-
-def _is_best_placed(problem: Problem, placed: Evaluation, places: Unknowns) -> bool:
-    """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
-    groups = problem.whitening.start(placed.residuals)
-    residuals = problem.residuals(placed, groups)
-    explained = reduce_rows(problem.derivative(placed, groups, places), residuals)[: len(places), -1]
-    return bool(explained @ explained <= _PLACED * (residuals @ residuals))
 
 
 def solve_from(

@@ -50,10 +50,7 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
         depths: `Mechanism.depths` of the robot, (n_actuated,).
         rows: Whitened rows at the solution, with the weights of a robust loss.
     """
-    block = np.zeros(len(data), dtype=np.intp)
-    for k, visits in enumerate(boxes(data.joints, data.pose_numbers, BLOCKS, depths)):
-        block[visits] = k
-    cuts = {"the measured part of joint space": block}
+    cuts = {"the measured part of joint space": boxes(data.joints, data.pose_numbers, BLOCKS, depths)}
     if data.setups is not None and np.ptp(data.setups) > 0:
         cuts["the setup"] = data.setups
     layout, noise, apart = rows.layout, np.full(rows.layout.n_rows, statistics.factors.common), list[Regions]()

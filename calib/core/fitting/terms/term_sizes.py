@@ -127,14 +127,13 @@ class _TermModel:
         """Block of each row of the model by the module docstring, (n_rows,)."""
         data, depths = self._fit.identification.data, self._fit.robot.mechanism.depths
         setups = np.zeros(len(data), dtype=np.intp) if data.setups is None else data.setups
-        layout, block, start = self._fit.whitening.layout, np.zeros(len(data), dtype=np.intp), 0
+        layout, block = self._fit.whitening.layout, np.zeros(len(data), dtype=np.intp)
         visits = layout.visit[layout.reading[self._kind_model.informative_rows]]
         each = np.unique(setups[visits])
         for setup in each:
             there = np.flatnonzero(setups == setup)
-            parts = boxes(data.joints[there], data.pose_numbers[there], -(-BLOCKS // len(each)), depths)
-            for part in parts:
-                block[there[part]], start = start, start + 1
+            own = boxes(data.joints[there], data.pose_numbers[there], -(-BLOCKS // len(each)), depths)
+            block[there] = np.max(block) + 1 + own
         return np.unique(block[visits], return_inverse=True)[1]
 
     def _solve_with_kinds(self, kinds: frozenset[str]) -> SolvedModel:
@@ -145,35 +144,27 @@ class _TermModel:
             solved = likeliest_sizes(
                 full.model, np.where(np.isneginf(near), full.logs, near), self._absent(kinds), _ROUGH
             )
-            self._solved[kinds] = _without_cache(solved)
+            self._solved[kinds] = replace(solved)  # without the cached matrices, which take memory
         return self._solved[kinds]
 
     def _absent(self, kinds: frozenset[str]) -> BoolArray:
         """Mask of the families of all other requested kinds, (n_families,)."""
         return ~np.isin(self._terms, list(kinds))
 
-    def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
-        """Upper bound of a kind's gain of log likelihood, from the sets solved so far: more kinds fit better."""
-        fewer, more = kinds - {kind}, kinds | {kind}
-        worst = min((at.cost for known, at in self._solved.items() if known <= fewer), default=np.inf)
-        return worst - min((at.cost for known, at in self._solved.items() if known >= more), default=-np.inf)
-
     def _squares(self, kinds: frozenset[str]) -> FloatArray:
         """Squared errors of left-out blocks, divided by those of the model without terms, (n_blocks,)."""
         if kinds not in self._left_out:
             sums = self._solve_with_kinds(frozenset()).squares_and_freedom[0]
             counts = np.bincount(self._rows.group, minlength=len(sums))
-            at = _without_cache(self._solve_with_kinds(kinds))
+            at = replace(self._solve_with_kinds(kinds))  # whose cached matrices are not kept
             self._left_out[kinds] = at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
         return self._left_out[kinds]
 
     def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
         """Whether a kind stays among these kinds, by the two conditions of the module docstring."""
-        needed = TELLS + float(np.log(len(self._requested_kinds)))
-        if self._most_evidence(kind, kinds) <= needed:
-            return False
         more, fewer = kinds | {kind}, kinds - {kind}
-        if self._solve_with_kinds(fewer).cost - self._solve_with_kinds(more).cost <= needed:
+        evidence = self._solve_with_kinds(fewer).cost - self._solve_with_kinds(more).cost
+        if evidence <= TELLS + np.log(len(self._requested_kinds)):
             return False
         gains = self._squares(fewer) - self._squares(more)
         return float(np.sum(gains)) > np.sqrt(len(gains)) * float(np.std(gains, ddof=1))
@@ -254,8 +245,3 @@ class _TermModel:
         draws = np.where(fitted & sized, logs, self._draws)  # a fit finds the sizes of curves again
         model, robot = MixedModel.from_rows(self._rows, _SHORTEST), self._fit.robot.with_terms(fitted_terms)
         return self._kind_model.undecided(model, logs, draws, robot)
-
-
-def _without_cache(at: SolvedModel) -> SolvedModel:
-    """Copy without the cached matrices, which take memory."""
-    return replace(at)

@@ -1,8 +1,7 @@
 """The claim of a calibration on the error of the robot where it was measured, and its test at unused poses.
 
-The claim. Each used pose is predicted by the fit of all others (`calib.core.fitting.unseen_errors`). Of these errors,
-95 in 100 at further poses like them stay below `limit95`, whatever their distribution. They contain errors of the model
-as well as noise; the covariance of the parameters counts noise alone.
+The claim. Each used pose is predicted by the fit of all others. Of the errors at further poses like them, 95 in 100
+stay below `limit95`, whatever their distribution (`calib.core.fitting.unseen_errors`).
 
 Whether it holds. At n poses that had no part in the fit, such as validation poses, the root mean square error may be
 `MORE` times that of the claim; more only where n is so small that chance makes it so in one case of a thousand (F, with

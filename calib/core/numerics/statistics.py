@@ -20,10 +20,8 @@ groups of rows (instruments, or position and orientation), each with its own fac
 Where the readings of a pose share errors, or some poses scatter more than others, beyond chance, the sum between T and
 its transpose is replaced by the scatter of the poses themselves (`calib.core.numerics.clusters`).
 `calib.core.numerics.size_search` adds to C where the size of some priors was found from the same data.
-`calib.core.fitting.robust` gives f and its counterpart in C with a robust loss.
-`calib.core.fitting.curvature` adds to the variance in intervals if only a prior holds a direction in the linear model,
-but readings see it beyond that. The addition is no part of C, nor of std. It takes longer than all the rest, and is
-therefore computed only when intervals are asked for.
+`calib.core.fitting.robust` gives f and its counterpart in C with a robust loss. `calib.core.fitting.curvature` adds to
+the variance in intervals; this takes longer than all the rest, and is computed only when intervals are asked for.
 
 Intervals are value +- t std, widened as above, with Student's t at 97.5 %, because the noise is found from the same
 residuals. Its degrees of freedom are those above, or those of the scatter of poses if that is used and has fewer. The

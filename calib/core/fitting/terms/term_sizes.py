@@ -1,10 +1,8 @@
 """Sizes of all kinds of joint errors, in one model, instead of a choice of kinds.
 
-Around the fit of the origins, the rows are linear in the coefficients of all kinds of terms that the measurements can
-show (`calib.core.fitting.terms.candidate_terms`). Each kind is a family of the mixed model
-(`calib.core.numerics.mixed_model`), or one for each joint where joints differ (`JointTerm.differs`): its coefficients
-are normal with a size that is found by restricted likelihood, together with the noise and with an independent error of
-each joint at each pose, which stands for errors of no kind.
+The model is that of `calib.core.fitting.terms.kind_model` around the fit of the origins, with all kinds of terms that
+the measurements can show (`calib.core.fitting.terms.candidate_terms`). Sizes are found by restricted likelihood,
+together with the noise.
 
 Which kinds are fitted. From the model of all, kinds are left out one by one, those with most coefficients first, until
 all stay. A kind stays where both are true:
@@ -22,11 +20,9 @@ higher with it by a factor of 20, given all other kinds. Of kinds that look alik
 Results:
 
     terms        kinds that stay are fitted like any term, with the sigma that was found
-    undecided    the other kinds may exist, too, and sizes are uncertain. With coefficients u and covariance C for
-                 drawn sizes of all kinds that the rows leave open, cov u = mean of C + covariance of u: its excess
-                 over C of the fitted sizes is added to the covariance of the fit. Sizes of fitted curves are not
-                 drawn: the fit finds them again, and counts their uncertainty
-                 (`calib.core.numerics.size_search`)
+    undecided    the other kinds may exist, too, and sizes are uncertain: what drawn sizes of all kinds that the rows
+                 leave open add is added to the covariance of the fit. Sizes of fitted curves are not drawn: the fit
+                 finds them again, and counts their uncertainty (`calib.core.numerics.size_search`)
 
 Measured on real robots (`docs/theory/joint_terms.md`): weighting the fit itself by the error of joints was no better on
 one tracked arm and much worse where a camera reads several points of a pose, whose noise has another shape. Time and

@@ -39,7 +39,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy
@@ -100,12 +99,8 @@ class BeyondLinear:
         hold(values)
         return values
 
-    def __reduce__(self) -> tuple[Any, ...]:  # values alone, without the data that `compute` holds
-        return _excess_from, (self.values,)
-
-
-def _excess_from(values: FloatArray) -> BeyondLinear:
-    return BeyondLinear(lambda: values)
+    def __getstate__(self) -> dict[str, FloatArray]:  # values alone, without the data that `compute` holds
+        return {"values": self.values}
 
 
 @dataclass(frozen=True, eq=False)

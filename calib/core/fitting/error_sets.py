@@ -72,7 +72,7 @@ class ErrorSet(ReadOnlyArrays):
 
     def _pose_means(self, name: str, errors: FloatArray) -> FloatArray:
         """Means over an instrument's readings of one pose and one pair of frames, in order of first appearance."""
-        first, number = _repeats(self.data)[name]
+        first, number = repeats(self.data)[name]
         if len(first) == len(errors):
             return errors
         total, count = np.zeros((len(first), errors.shape[1])), np.zeros((len(first), errors.shape[1]))
@@ -133,8 +133,8 @@ class Folds:
 
 
 @memoize
-def _repeats(data: Measurements) -> dict[str, tuple[IntArray, IntArray]]:
-    """By instrument, the first reading of each pose and pair of frames, and their number for each reading, (n,)."""
+def repeats(data: Measurements) -> dict[str, tuple[IntArray, IntArray]]:
+    """Return the first reading of each pose and pair of frames, and their number for each reading, by instrument."""
     result = {}
     for name, readings in data.readings.items():
         columns = [data.pose_numbers[readings.visits], readings.pairs, _pose_numbers(readings.details)]

@@ -298,11 +298,11 @@ class Problem(ReadOnlyArrays):
             weights: Weight of each reading, (n_readings,).
 
         Returns:
-            The evaluation at the end, and the solver's result without its Jacobian, which `rows` gives.
+            The evaluation at the end, and the solver's result.
         """
         way = _SolverRows(self, start, groups, self.unknowns if unknowns is None else unknowns, weights)
         solution = minimise(way.residuals, way.jacobian, way.begin, tolerance=tolerance)
-        return way.current, replace(solution, jacobian=np.zeros((0, len(way.begin))))
+        return way.current, solution
 
 
 class _SolverRows:

@@ -43,7 +43,6 @@ from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.rows.determination import Determination
 from calib.core.rows.observed import observe
-from calib.core.rows.whitening import Whitening
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +52,11 @@ class WarmStart:
     Attributes:
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
-        whitening: Whitening of the same readings, if they are kept; it takes as much memory as they do.
         free_alone: Whether ranks of held parameters are not used.
     """
 
     joints: FloatArray | None = None
     passive: FloatArray | None = None
-    whitening: Whitening | None = None
     free_alone: bool = False
 
     @staticmethod
@@ -134,7 +131,7 @@ def minimum_of(
     seen = robot.fix(*later) if later else robot
     check_measurements(seen, data)
     nearby = nearby or WarmStart()
-    problem = Problem.from_data(seen, data, settings.sigma, nearby.passive_at(data.joints), nearby.whitening)
+    problem = Problem.from_data(seen, data, settings.sigma, nearby.passive_at(data.joints))
     problem = replace(problem, free_alone=nearby.free_alone)
     start = place(problem)
     steps.advance()

@@ -45,7 +45,6 @@ from calib.core.numerics.chances import HARDLY
 from calib.core.numerics.clusters import shifts_without_block
 from calib.core.numerics.statistics import chi_square
 from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
-from calib.core.rows.rows import Rows
 
 COVERED = 0.95
 """Chance of `Accuracy.limit95`."""
@@ -92,12 +91,7 @@ def limit95(lengths: FloatArray) -> float:
 @one_blas_thread
 def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
     """Return errors of used poses, each predicted by the fit of all others; None if no pose can be predicted."""
-    data, rows = fit.identification.data, fit.weighted_rows
-    if rows is fit.rows:
-        moved, decided = _prediction_shifts(rows)
-    else:
-        pose = rows.layout.pose_of_row
-        moved, decided = shifts_without_block(rows.span, pose, rows.residuals, seen=fit.span, alone=_DECIDES)
+    data, (moved, decided) = fit.identification.data, _prediction_shifts(fit)
     read = fit.whitening.unwhiten_rows(moved, fit.scales)
     after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
     predictable = np.isin(data.pose_numbers, np.flatnonzero(decided > _DECIDES), invert=True)
@@ -106,9 +100,10 @@ def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
 
 
 @memoize
-def _prediction_shifts(rows: Rows) -> tuple[FloatArray, FloatArray]:
-    """Shifts of poses that are left out in turn; copies of a fit share them, as they hold the same rows."""
-    return shifts_without_block(rows.span, rows.layout.pose_of_row, rows.residuals, alone=_DECIDES)
+def _prediction_shifts(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Shifts of whitened rows where their pose is left out, (n_rows,), and the largest part that each pose decides."""
+    rows = fit.weighted_rows
+    return shifts_without_block(rows.span, rows.layout.pose_of_row, rows.residuals, seen=fit.span, alone=_DECIDES)
 
 
 def left_out_ratio(fit: Fit) -> float:
@@ -121,10 +116,10 @@ def left_out_ratio(fit: Fit) -> float:
     square = float(np.sum(rows.residuals**2))
     if fit.computed or not (freedom > 0 and square > 0):
         return 1.0
-    moved, decided = _prediction_shifts(rows)
-    kept = ~np.isin(rows.layout.pose_of_row, np.flatnonzero(decided > _DECIDES))
-    r = rows.residuals[kept]
-    more = float(r @ (r + moved[kept])) / max(len(r), 1) * freedom / square
+    (moved, decided), layout = _prediction_shifts(fit), rows.layout
+    kept = (layout.group >= 0) & ~np.isin(layout.pose_of_row, np.flatnonzero(decided > _DECIDES))
+    r, moved = rows.residuals[kept], (np.sqrt(fit.weights)[layout.reading] * moved)[kept]
+    more = float(r @ (r + moved)) / max(len(r), 1) * freedom / square
     ratio = math.sqrt(max(more, 1.0))
     return ratio if chi_square(ratio, len(r)).p_larger < HARDLY else 1.0
 

@@ -97,9 +97,7 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
 
 
 def _kinds_of_few_coefficients(fit: SolvedFit) -> tuple[CandidateTerm, ...]:
-    kinds = [
-        kind for kind in candidates(fit.robot, fit.identification.data) if not (kind.refusal or kind.reason_against)
-    ]
+    kinds = [kind for kind in candidates(fit.robot, fit.identification.data) if not kind.refusal]
     robot = with_kinds(fit.robot, kinds)
     return tuple(kind for kind in kinds if not kind.is_curve_in(robot))
 

@@ -112,19 +112,18 @@ def joint_causes(robot: Robot) -> tuple[str, ...]:
     return (*causes[: len(causes) - len(terms)], *terms)
 
 
-def error_budget(fit: Fit, causes_by_parameter: Sequence[str] | None = None) -> ErrorBudget:
+def error_budget(fit: Fit, causes_by_parameter: Sequence[str]) -> ErrorBudget:
     """Return the error budget of the validation readings of a fit, or of all readings without validation.
 
     Args:
-        causes_by_parameter: The cause of each parameter, (n_parameters,); `causes_of` if not given.
+        causes_by_parameter: The cause of each parameter, (n_parameters,), such as `causes_of`.
 
     Raises:
         UnreachablePoseError: The robot cannot be assembled on the path from before to after.
     """
     errors, unknowns, unused = fit.validation or fit.identification, fit.unknowns, fit.validation_rows
     rows = fit.rows if unused is None else unused
-    named = causes_of(fit.robot) if causes_by_parameter is None else causes_by_parameter
-    of_parameter = np.array(named)[unknowns.index]
+    of_parameter = np.array(causes_by_parameter)[unknowns.index]
     causes = list(dict.fromkeys(of_parameter.tolist()))
     members = np.array([of_parameter == cause for cause in causes])
     layout = rows.layout

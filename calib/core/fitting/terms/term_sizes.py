@@ -95,11 +95,9 @@ def size_terms(fit: Fit) -> TermChoice:
     if fit.computed:
         why = "nothing is left to explain: these data were computed, not measured"
         return TermChoice("auto", described, tuple(TermTrial(candidate.term, refusal=why) for candidate in kinds))
-    requested = tuple(candidate for candidate in kinds if not (candidate.refusal or candidate.reason_against))
+    requested = tuple(candidate for candidate in kinds if not candidate.refusal)
     model = _TermModel(fit, requested)
-    tried = [
-        model.outcome(c) if c in requested else TermTrial(c.term, refusal=c.refusal or c.reason_against) for c in kinds
-    ]
+    tried = [TermTrial(kind.term, refusal=kind.refusal) if kind.refusal else model.outcome(kind) for kind in kinds]
     sections = (*described, *(section for candidate in requested for section in model.entries(candidate)))
     tried.sort(key=lambda term: not term.added)
     return TermChoice("auto", sections, tuple(tried), model.undecided(sections))

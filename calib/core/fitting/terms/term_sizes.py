@@ -178,19 +178,15 @@ class _TermModel:
             kinds |= {min(more, key=lambda kind: self._solve_with_kinds(kinds | {kind}).cost)} if more else kinds
         return likeliest_sizes(self._solved_model.model, self._solve_with_kinds(kinds).logs, self._absent(kinds))
 
-    def _is_shown(self, k: int) -> bool:
-        """Whether rows show a family of the chosen model: its log likelihood is higher with it."""
-        chosen, n = self._chosen_model, len(self._families)
-        least = chosen.logs[:n] <= self._smallest_logs[:n]
-        if least[k]:
-            return False
-        without = likeliest_sizes(chosen.model, chosen.logs, least | (np.arange(n) == k))
-        return without.cost - chosen.cost > _SHOWS
-
     @cached_property
     def _is_fitted(self) -> BoolArray:
-        large = np.exp(self._chosen_model.logs[: len(self._families)]) > _SMALL
-        return np.array([some or self._is_shown(k) for k, some in enumerate(large)], dtype=bool)
+        """Whether each family of the chosen model is large, or the log likelihood is higher with it, (n_families,)."""
+        chosen, n = self._chosen_model, len(self._families)
+        fitted, least = np.exp(chosen.logs[:n]) > _SMALL, chosen.logs[:n] <= self._smallest_logs[:n]
+        for k in np.flatnonzero(~(fitted | least)):
+            without = likeliest_sizes(chosen.model, chosen.logs, least | (np.arange(n) == k))
+            fitted[k] = without.cost - chosen.cost > _SHOWS
+        return fitted
 
     def _members(self, kinds: Collection[str]) -> IntArray:
         """Numbers of the families of some kinds."""

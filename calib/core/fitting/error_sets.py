@@ -134,7 +134,7 @@ class Folds:
 
 @memoize
 def repeats(data: Measurements) -> dict[str, tuple[IntArray, IntArray]]:
-    """Return the first reading of each pose and pair of frames, and their number for each reading, by instrument."""
+    """Return the first reading of each pose and pair of frames, (n_poses,), and their number for each reading, (n,)."""
     result = {}
     for name, readings in data.readings.items():
         columns = [data.pose_numbers[readings.visits], readings.pairs, _pose_numbers(readings.details)]

@@ -33,7 +33,8 @@ from calib.core.numerics.chances import EXACT, HARDLY, UNLIKELY
 from calib.core.numerics.clusters import Scatter, scatter
 from calib.core.numerics.least_squares import TOLERANCE
 from calib.core.numerics.linear_model import LinearModel
-from calib.core.numerics.size_search import find_sizes, variance_by_sizes
+from calib.core.numerics.mixed_rows import UNSEEN, SeenColumns
+from calib.core.numerics.size_search import find_sizes, unseen_variances, variance_by_sizes
 from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, find_factors, statistics
 from calib.core.numerics.tall import Span, squares_of_rows
 from calib.core.rows.registration import register
@@ -246,28 +247,28 @@ def uncertainty_at(
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
-    problem = solved.problem
+    problem, robust, unknowns = solved.problem, solved.factors, solved.problem.unknowns
     rows = problem.rows(solved.evaluation, solved.groups)
-    layout, unknowns = problem.whitening.layout, problem.unknowns
-    robust = solved.factors
-    slowed = rows if robust is None else rows.with_weights(np.full(layout.n_readings, robust.slope))
-    span = rows.span if slowed is rows else Span(rows.jacobian, slowed.posterior_information.root)
+    seen = SeenColumns.from_rows(rows.jacobian, rows.prior, unknowns.family, UNSEEN) if unknowns.families else None
+    model: LinearModel = rows if seen is None else seen.model(rows)
+    slowed = model if robust is None else replace(model, jacobian=np.sqrt(robust.slope) * model.jacobian)
+    known, layout = slowed.posterior_information, rows.layout
+    span = model.span if slowed is model else Span(model.jacobian, known.root)
     factors = robust or find_factors(rows.residuals, span, layout.group, len(layout.groups), problem.confirmed_freedom)
     if beyond_linear is None:
         beyond_linear = BeyondLinear(
             partial(mean_square_beyond_linear, problem, replace(solved.evaluation), rows, solved.groups)
         )
-    uncertainty = statistics(
-        span,
-        layout.group,
-        slowed.posterior_information,
-        factors,
-        unknowns.scales,
-        unknowns.prior,
-        scatter_of_poses(rows, span, factors, solved.weights),
-        variance_by_sizes(slowed.posterior_information.covariance, unknowns.family, rows.deviations),
-        beyond_linear,
-    )
+    poses = scatter_of_poses(rows, span, factors, solved.weights)
+    if seen is None:
+        scales, by_sizes = unknowns.scales, None
+    else:
+        scales, by_sizes = np.ones(len(seen.family)), variance_by_sizes(known.covariance, seen.family, model.deviations)
+        rows.remember_span(model.span)
+    uncertainty = statistics(span, layout.group, known, factors, scales, model.prior, poses, by_sizes, beyond_linear)
+    if seen is not None:
+        every = seen.covariance(uncertainty.covariance, unseen_variances(known.covariance, seen.family))
+        uncertainty = uncertainty.with_covariance(every, unknowns.scales, rows.prior.has)
     return rows, solved.groups, uncertainty
 
 

@@ -68,6 +68,10 @@ class LinearModel:
         """Store `factor` (n_free + 1, n_free + 1), where it is known already."""
         vars(self)["factor"] = factor
 
+    def remember_span(self, span: Span) -> None:
+        """Store a `span` with the same products U U^T, of fewer columns."""
+        vars(self)["span"] = span
+
     @cached_property
     def posterior_information(self) -> Information:
         """Information of these rows and the priors."""

@@ -71,7 +71,7 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import blocks_of_equal_length, shifts_without_block
 from calib.core.numerics.identifiability import inverse_of_triangle, reduce_rows, square_of_triangle
-from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows, coefficients_of
+from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows, coefficients_of, condense
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
 _LEAST_EFFECT = 0.1  # a solution omits a coefficient that moves all rows together by less than this part of the noise
@@ -108,7 +108,7 @@ class MixedModel(ReadOnlyArrays):
             for number, places in zip(numbers, members, strict=True)
             if len(places)
         )
-        x = np.concatenate([rows.columns[:, part.members] @ part.kept for part in parts], axis=1)
+        x = condense(parts, rows.columns)
         y, spread = rows.values.copy(), np.zeros(len(x))
         for places, turn, spread_there in _rotate_rows(rows) if rows.levers.shape[1] else ():
             back, spread[places] = turn.transpose(0, 2, 1), spread_there

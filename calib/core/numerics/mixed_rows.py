@@ -113,13 +113,30 @@ class FamilyPart(ReadOnlyArrays):
         return FamilyPart(members, vectors[:, seen], family)
 
 
+def condense(parts: Sequence[FamilyPart], columns: FloatArray) -> FloatArray:
+    """Return columns of the components of all parts (..., n_new), from all columns (..., n)."""
+    places = _places(parts)
+    result = np.empty((*columns.shape[:-1], places[-1].stop))
+    for part, place in zip(parts, places, strict=True):
+        first, last = part.members[[0, -1]] if len(part.members) else (0, -1)
+        together = last - first == len(part.members) - 1  # a slice copies nothing
+        own = columns[..., first : last + 1] if together else columns[..., part.members]
+        result[..., place] = own @ part.kept
+    return result
+
+
 def coefficients_of(parts: Sequence[FamilyPart], condensed: FloatArray) -> FloatArray:
     """Return the coefficients of all columns (n_columns,), from those of the components of all parts (n,)."""
-    ends = np.cumsum([part.kept.shape[1] for part in parts])[:-1]
     result = np.zeros(sum(len(part.members) for part in parts))
-    for part, own in zip(parts, np.split(condensed, ends), strict=True):
-        result[part.members] = part.kept @ own
+    for part, place in zip(parts, _places(parts), strict=True):
+        result[part.members] = part.kept @ condensed[place]
     return result
+
+
+def _places(parts: Sequence[FamilyPart]) -> list[slice]:
+    """Places of the components of each part among those of all."""
+    ends = np.cumsum([0, *(part.kept.shape[1] for part in parts)]).tolist()
+    return list(map(slice, ends, ends[1:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,11 +177,34 @@ class SeenColumns(ReadOnlyArrays):
 
     def combine(self, columns: FloatArray) -> FloatArray:
         """Return `columns` times B, (..., n_new), from (..., n)."""
-        return np.concatenate([columns[..., part.members] @ part.kept for part in self.parts], axis=-1)
+        return condense(self.parts, columns)
 
     def coefficients(self, combined: FloatArray) -> FloatArray:
         """Return u = B w, (n,), from w (n_new,)."""
         return coefficients_of(self.parts, combined)
+
+    def model(self, linear: LinearModel) -> LinearModel:
+        """Return a linear model of u as one of w."""
+        columns, deviations = self.combine(linear.jacobian), self.combine(linear.deviations)
+        return LinearModel(linear.residuals, columns, self.prior, deviations, linear.layout)
+
+    def covariance(self, combined: FloatArray, unseen: FloatArray) -> FloatArray:
+        """Return the covariance of u, (n, n).
+
+        Args:
+            combined: Covariance of w, (n_new, n_new).
+            unseen: Variance of the components of each family that rows do not see, (n_families,).
+        """
+        n, places = sum(len(part.members) for part in self.parts), _places(self.parts)
+        left, result = np.empty((n, len(combined))), np.empty((n, n))
+        for part, place in zip(self.parts, places, strict=True):
+            left[part.members] = part.kept @ combined[place]
+        for part, place in zip(self.parts, places, strict=True):
+            result[:, part.members] = left[:, place] @ part.kept.T
+        for part, variance in zip(self.parts[1:], unseen, strict=True):
+            aside = np.eye(len(part.members)) - part.kept @ part.kept.T
+            result[np.ix_(part.members, part.members)] += variance * aside
+        return result
 
 
 def whiten_scatter(levers: FloatArray, pose: IntArray, *arrays: FloatArray) -> list[FloatArray]:

@@ -185,8 +185,7 @@ def find_sizes(
     counts, group = model.layout.counts, model.layout.group
     if len(sizes):  # fewer columns first: all rows have many columns of families
         seen = SeenColumns.from_rows(model.jacobian, model.prior, family)
-        columns, deviations = seen.combine(model.jacobian), seen.combine(model.deviations)
-        model, family = LinearModel(model.residuals, columns, seen.prior, deviations), seen.family
+        model, family = seen.model(model), seen.family
     few = [reduce_rows(model.jacobian[own], model.residuals[own]) for own in (group == g for g in range(len(counts)))]
     rows, layout = np.vstack(few), RowGroups(np.repeat(np.arange(len(counts)), [len(own) for own in few]), counts)
     linear = replace(model, residuals=rows[:, -1], jacobian=rows[:, :-1], layout=layout)
@@ -360,6 +359,15 @@ def spread_of_sizes(covariance: FloatArray, family: IntArray) -> FloatArray:
     """
     members = family == np.arange(int(np.max(family, initial=-1)) + 1)[:, None]
     return np.asarray(np.linalg.inv(information_of_families(covariance, 1.0 * members) + np.eye(len(members))))
+
+
+def unseen_variances(covariance: FloatArray, family: IntArray) -> FloatArray:
+    """Return the variance of the components of each family that rows do not see, (n_families,); their C is 1.
+
+    Args:
+        covariance, family: As in `spread_of_sizes`, of what rows see.
+    """
+    return np.asarray(1.0 + 2.0 * np.diag(spread_of_sizes(covariance, family)))
 
 
 def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: FloatArray) -> FloatArray:

@@ -154,6 +154,11 @@ class Statistics(ReadOnlyArrays):
         wider = np.divide(std, self.std, out=np.full_like(std, factor), where=self.std > 0)
         return replace(self, std=std, wider=wider * self.wider)
 
+    def with_covariance(self, scaled_covariance: FloatArray, scales: FloatArray, has_prior: BoolArray) -> Statistics:
+        """Return the statistics with another covariance of u, (n, n), its scales (n,), and mask of priors (n,)."""
+        covariance, std, share = _parameter_uncertainty(scaled_covariance, scales, has_prior)
+        return replace(self, covariance=covariance, std=std, data_share=share)
+
 
 def status(
     data_share: FloatArray, relative_std: FloatArray, prior: BoolArray, placement: BoolArray
@@ -291,11 +296,17 @@ def statistics(
         scaled_covariance = known.covariance_from(core)
     if by_sizes is not None:
         scaled_covariance = scaled_covariance + by_sizes
-    scaled_covariance = (scaled_covariance + scaled_covariance.T) / 2  # symmetric to the last digit
-    covariance = np.multiply.outer(scales, scales)
-    covariance *= scaled_covariance
-    std: FloatArray = np.sqrt(np.diag(covariance))
-    decided = np.where(prior.has, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
+    covariance, std, share = _parameter_uncertainty(scaled_covariance, scales, prior.has)
     decides = effective_parameters(known, prior)
+    return Statistics(factors, factors.total_freedom, covariance, std, share, decides, poses, beyond_linear)
+
+
+def _parameter_uncertainty(
+    scaled_covariance: FloatArray, scales: FloatArray, has_prior: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Covariance (n_free, n_free) and std (n_free,) [m, rad] from that of u, and what data decide, (n_free,)."""
+    covariance = np.multiply.outer(scales, scales)
+    covariance *= (scaled_covariance + scaled_covariance.T) / 2  # symmetric to the last digit
     hold(covariance)
-    return Statistics(factors, factors.total_freedom, covariance, std, decided, decides, poses, beyond_linear)
+    decided = np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0)
+    return covariance, np.sqrt(np.diag(covariance)), np.where(has_prior, decided, 1.0)

@@ -6,7 +6,7 @@ import pytest
 from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.mixed_rows import SeenColumns
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.size_search import find_sizes, variance_by_sizes
+from calib.core.numerics.size_search import find_sizes, unseen_variances, variance_by_sizes
 
 FAMILY = np.array([-1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 1])
 STEP = 1e-4
@@ -111,3 +111,22 @@ def test_components_that_rows_see_have_all_of_their_effect():
     assert list(seen.prior.has) == [False, False, True, True, True, True]
     np.testing.assert_allclose(seen.combine(rows) @ w, rows @ seen.coefficients(w), atol=1e-12)
     np.testing.assert_allclose(seen.combine(seen.coefficients(w)), w, atol=1e-12)
+
+
+def test_the_covariance_of_what_rows_see_gives_that_of_all_coefficients():
+    rng = np.random.default_rng(4)
+    family = np.array([0, -1, 0, 1, 0, 1, -1])
+    rows, u = rng.standard_normal((30, 7)), rng.standard_normal(7)
+    rows[:, 4], u[4] = rows[:, 0] - 2.0 * rows[:, 2], u[0] - 2.0 * u[2]  # priors keep the unseen component at zero
+    rows[:, 5] = 0.0
+    u[5] = 0.0
+
+    def total(rows, family, u):
+        covariance = np.linalg.inv(rows.T @ rows + np.diag(1.0 * (family >= 0)))
+        return covariance, covariance + variance_by_sizes(covariance, family, u)
+
+    seen = SeenColumns.from_rows(rows, Prior(family >= 0), family)
+    assert len(seen.family) == 5
+    known, of_seen = total(seen.combine(rows), seen.family, seen.combine(u))
+    unseen = unseen_variances(known, seen.family)
+    np.testing.assert_allclose(seen.covariance(of_seen, unseen), total(rows, family, u)[1], atol=1e-10)

@@ -275,25 +275,18 @@ def statistics(
         poses, beyond_linear: Attributes of the result.
         by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
     """
-    shared = None if poses is None else poses.core
-    if shared is None and len(factors.effective) == 1:  # the rows have the rest of the information
-        factor = factors.slope * factors.effective[0] ** 2
-        scaled_covariance = known.covariance
-        held = prior.times(scaled_covariance)
-        by_priors = held.T @ held
-        scaled_covariance *= factor
-        by_priors *= 1.0 - factor
-        scaled_covariance += by_priors
+    core = prior_shares(known, prior)  # with a robust loss, J is times the root of the slope in T
+    if poses is not None:
+        core += poses.core
+    elif len(factors.effective) == 1:  # the rows have the rest of the information
+        core += factors.slope * factors.effective[0] ** 2 * (np.eye(len(core)) - core)
     else:
-        core = prior_shares(known, prior)  # with a robust loss, J is times the root of the slope in T
-        if shared is not None:
-            core += shared
-        for part in slices(len(span)) if shared is None else ():
+        for part in slices(len(span)):
             pulled, number = span[part], groups[part]
             for group, factor in enumerate(factors.effective):
                 own = pulled[number == group]
                 core += (factors.slope * factor) ** 2 * (own.T @ own)
-        scaled_covariance = known.covariance_from(core)
+    scaled_covariance = known.covariance_from(core)
     if by_sizes is not None:
         scaled_covariance = scaled_covariance + by_sizes
     covariance, std, share = _parameter_uncertainty(scaled_covariance, scales, prior.has)

@@ -42,9 +42,9 @@ def sets(folder: Path) -> Iterator[tuple[str, calib.Robot, Measurements]]:
 def halves(robot: calib.Robot, data: Measurements, how: str, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
     """Cut the visits in two: at random within each setup, or into boxes of joint space."""
     if how.startswith("by boxes"):
-        parts = boxes(data.joints, data.pose_numbers, BLOCKS, robot.mechanism.depths)
-        first = rng.permutation(len(parts))[: len(parts) // 2]
-        chosen = np.isin(np.arange(len(data)), np.concatenate([parts[k] for k in first]))
+        box = boxes(data.joints, data.pose_numbers, BLOCKS, robot.mechanism.depths)
+        n = int(np.max(box)) + 1
+        chosen = np.isin(box, rng.permutation(n)[: n // 2])
     else:
         chosen = np.zeros(len(data), dtype=bool)
         setups = np.zeros(len(data)) if data.setups is None else data.setups

@@ -369,9 +369,9 @@ def test_hysteresis_is_found_where_the_direction_of_approach_is_stated(lagging):
 
 def test_hysteresis_without_a_stated_direction_is_doubted_as_backlash_is(lagging):
     robot, unstated, stated = lagging
-    doubts = {term.term: term.reason_against for term in candidates(robot, unstated)}
+    doubts, none = ({term.term: term.refusal for term in candidates(robot, data)} for data in (unstated, stated))
     assert doubts["hysteresis"] == doubts["backlash"] != ""
-    assert {term.reason_against for term in candidates(robot, stated)} == {""}
+    assert none["hysteresis"] == none["backlash"] == ""
     fit = calib.fit(robot, unstated, terms="auto")
     told = next(trial for trial in fit.terms.trials if trial.term == "hysteresis")
     assert not told.added

@@ -28,7 +28,7 @@ from calib.core.base.registry import list_entry_points
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Progress, Steps, Workers
 from calib.core.data.measurements import Measurements
-from calib.core.fitting.fit import Minimum, WarmStart, fit_at, fit_data, fit_of_a_part, minimum_of, unseen
+from calib.core.fitting.fit import Minimum, fit_at, fit_data, fit_of_a_part, minimum_of, unseen
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import likely_mistake, zeros_in_words
 from calib.core.fitting.outliers import Outlier, readings_of_outliers
@@ -92,12 +92,12 @@ def _run_steps(
     of_each = _OF_ONE_FIT + settings.starts - 1
     steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:
-        robot, choice, minimum, nearby = _with_terms(robot, data, validation, settings, steps)
+        robot, choice, minimum = _with_terms(robot, data, validation, settings, steps)
         for entry in list_entry_points("calib.contradicted"):  # loaded only for a robot that has such a section
             if (section := getattr(robot.description, entry.name)) is not None:
                 robot = entry.load()(robot, data, settings, section)
         if minimum is None or minimum.robot is not robot or settings.starts > 1 or unseen(robot, data, validation):
-            minimum = minimum_of(robot, settings, data, validation, workers, steps, nearby)
+            minimum = minimum_of(robot, settings, data, validation, workers, steps)
         else:  # the fit without further terms is the minimum
             steps.advance()
             steps.advance()
@@ -131,11 +131,11 @@ def _run_steps(
 
 def _with_terms(
     robot: Robot, data: Measurements, validation: Measurements | None, settings: Settings, steps: Steps
-) -> tuple[Robot, TermChoice | None, Minimum | None, WarmStart | None]:
-    """The robot with the requested joint terms; and its minimum, or start values for its fit, if known."""
-    described, terms, nearby = robot.description.terms, settings.terms, None
+) -> tuple[Robot, TermChoice | None, Minimum | None]:
+    """The robot with the requested joint terms; and its minimum, if it is known."""
+    described, terms = robot.description.terms, settings.terms
     if terms is None:
-        return robot, None, None, None
+        return robot, None, None
     if terms == "none":
         choice = TermChoice(terms, ())
     elif terms == "auto":
@@ -144,11 +144,10 @@ def _with_terms(
         choice = size_terms(fit_at(minimum, first, steps=steps))
         steps.advance()
         if choice.sections == described:
-            return robot, choice, minimum, None
-        nearby = WarmStart(placed=(minimum.start.robot, minimum.start.residuals))
+            return robot, choice, minimum
     else:
         choice = TermChoice(terms, (*described, *missing_terms(robot, parse_terms(terms))))
-    return robot.with_terms(choice.sections), choice, None, nearby
+    return robot.with_terms(choice.sections), choice, None
 
 
 def _require_measurements(data: object, validation: object) -> None:

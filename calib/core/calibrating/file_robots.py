@@ -97,8 +97,6 @@ def _refit(
     if signs is not None and np.any(signs < 0):
         data = replace(data, joints=signs * data.joints)
         validation = None if validation is None else replace(validation, joints=signs * validation.joints)
-    else:
-        nearby = replace(nearby, whitening=fit.whitening)
     again = fit_data(robot, settings, data, validation, workers, nearby=nearby)
     if fit.folds is None:
         return again

@@ -121,7 +121,7 @@ def are_drawn_alike(joints: FloatArray, used: FloatArray) -> bool:
     return crowded == 0 or bool(scipy.special.bdtrc(crowded - 1, len(new), by_chance) >= UNLIKELY)
 
 
-def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -> list[IntArray]:
+def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -> IntArray:
     """Cut joint space into boxes of about equally many poses, always across the joint that spreads widest.
 
     The result depends neither on the order of the joints nor on the direction of their axes. If joints spread alike,
@@ -134,7 +134,7 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -
         depths: How far each joint is from the base, (n_actuated,), such as `Mechanism.depths`.
 
     Returns:
-        Indices of each box, ascending, (n_in_box,) each; repeats of one pose stay together.
+        Number of the box of each row, (n,); repeats of one pose are in the same.
     """
     order, starts = _rows_by_pose(joints, by_name)
     sizes = np.diff(starts, append=len(order))
@@ -159,7 +159,7 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -
         box[part] = number
     of_row = np.empty(len(order), dtype=np.intp)
     of_row[order] = np.repeat(box, sizes)
-    return [np.flatnonzero(of_row == number) for number in range(len(parts))]
+    return of_row
 
 
 def _both_ways_alike(centres: FloatArray) -> FloatArray:

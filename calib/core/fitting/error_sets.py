@@ -72,7 +72,7 @@ class ErrorSet(ReadOnlyArrays):
 
     def _pose_means(self, name: str, errors: FloatArray) -> FloatArray:
         """Means over an instrument's readings of one pose and one pair of frames, in order of first appearance."""
-        first, number = _repeats(self.data)[name]
+        first, number = repeats(self.data)[name]
         if len(first) == len(errors):
             return errors
         total, count = np.zeros((len(first), errors.shape[1])), np.zeros((len(first), errors.shape[1]))
@@ -88,9 +88,13 @@ class ErrorSet(ReadOnlyArrays):
         parts = [part for _, part, _ in self.parts()]
         return next((part for part in parts if part.is_position), parts[0])
 
+    def squares(self, state: str) -> FloatArray:
+        """Return the squared errors `before` or `after` of the main part, (n,) [SI, squared]."""
+        return np.asarray(np.nansum(self.errors(state, self.main_part.name) ** 2, axis=1))
+
     def rms(self, state: str) -> float:
         """Return the root mean square error `before` or `after` of the main part [SI]."""
-        return float(np.sqrt(np.mean(np.nansum(self.errors(state, self.main_part.name) ** 2, axis=1))))
+        return float(np.sqrt(np.mean(self.squares(state))))
 
     def table(self) -> dict[str, dict[str, object]]:
         """Return error tables `before` and `after` of the main part of all readings [mm for positions]."""
@@ -129,8 +133,8 @@ class Folds:
 
 
 @memoize
-def _repeats(data: Measurements) -> dict[str, tuple[IntArray, IntArray]]:
-    """By instrument, the first reading of each pose and pair of frames, and their number for each reading, (n,)."""
+def repeats(data: Measurements) -> dict[str, tuple[IntArray, IntArray]]:
+    """Return the first reading of each pose and pair of frames, (n_poses,), and their number for each reading, (n,)."""
     result = {}
     for name, readings in data.readings.items():
         columns = [data.pose_numbers[readings.visits], readings.pairs, _pose_numbers(readings.details)]

@@ -180,9 +180,11 @@ class Covariance(ReadOnlyArrays):
 
     @property
     def correlation(self) -> Correlation:
-        """Correlations: the covariances over both standard deviations."""
+        """Correlations: the covariances over both standard deviations; NaN without scatter."""
         std = np.sqrt(np.diagonal(self.values))
-        return Correlation(self.names, self.values / np.outer(std, std), self.contains)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            unit = self.values / std / std[:, None]
+        return Correlation(self.names, np.clip(unit, -1.0, 1.0), self.contains)
 
     def to_dataframe(self) -> Any:
         """Return a pandas table; pandas missing is an `InputError`."""

@@ -20,7 +20,7 @@ When it fails. Fewer coordinates than unknowns, or columns that the poses cannot
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -38,12 +38,11 @@ from calib.core.fitting.pose_checks import check_measurements, keeps_limits, req
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.fitting.robust import RobustSolution
 from calib.core.fitting.settings import Settings
-from calib.core.fitting.solving import convergence_at, place, reset_unseen, reuse_placement, solve_from, uncertainty_at
+from calib.core.fitting.solving import convergence_at, place, reset_unseen, solve_from, uncertainty_at
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.robot import Robot
 from calib.core.rows.determination import Determination
 from calib.core.rows.observed import observe
-from calib.core.rows.whitening import Whitening
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,23 +52,17 @@ class WarmStart:
     Attributes:
         joints: Visits, (n, n_actuated) [m or rad].
         passive: Passive joints that close them, (n, n_passive) [m or rad].
-        placed: The nominal robot with base and targets placed, and residuals of these visits, (n_readings, n_rows) [SI]
-            by instrument.
-        whitening: Whitening of the same readings, if they are kept; it takes as much memory as they do.
         free_alone: Whether ranks of held parameters are not used.
     """
 
     joints: FloatArray | None = None
     passive: FloatArray | None = None
-    placed: tuple[Robot, Mapping[str, FloatArray]] | None = None
-    whitening: Whitening | None = None
     free_alone: bool = False
 
     @staticmethod
     def from_fit(fit: Fit) -> WarmStart:
         """Return the start values from this fit."""
-        seen = fit.identification
-        return WarmStart(seen.data.joints, fit.configurations.passive, (fit.placed, seen.before))
+        return WarmStart(fit.identification.data.joints, fit.configurations.passive)
 
     def passive_at(self, q: FloatArray) -> FloatArray | None:
         """Passive joints near those of visits q (n, n_actuated), (n, n_passive); NaN where unknown, None if all are."""
@@ -138,10 +131,9 @@ def minimum_of(
     seen = robot.fix(*later) if later else robot
     check_measurements(seen, data)
     nearby = nearby or WarmStart()
-    problem = Problem.from_data(seen, data, settings.sigma, nearby.passive_at(data.joints), nearby.whitening)
+    problem = Problem.from_data(seen, data, settings.sigma, nearby.passive_at(data.joints))
     problem = replace(problem, free_alone=nearby.free_alone)
-    start = None if nearby.placed is None else reuse_placement(problem, *nearby.placed)
-    start = start or place(problem)
+    start = place(problem)
     steps.advance()
     begin = reset_unseen(problem, start)
     determined = require_identifiable(problem, begin, alone=nearby.free_alone)  # before the solver
@@ -202,8 +194,7 @@ def fit_at(
 
 def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements | None], Fit]:
     """Return a function that fits a part of the measurements of a fit and predicts the rest, from one start."""
-    nearby = replace(WarmStart.from_fit(fit), placed=None)  # a part has its own placement
-    return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=nearby)
+    return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=WarmStart.from_fit(fit))
 
 
 def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tuple[str, ...]:

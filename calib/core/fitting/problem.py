@@ -120,21 +120,19 @@ class Problem(ReadOnlyArrays):
         data: Measurements,
         sigma: float | None = None,
         near: FloatArray | None = None,
-        whitening: Whitening | None = None,
     ) -> Problem:
         """Close every visit and whiten its readings.
 
         Args:
             sigma: Noise of positions per axis, if it replaces the stated one [m].
             near: Passive joints of the visits under similar parameters, if they are known, (n, n_passive) [m or rad].
-            whitening: Whitening of the same readings with the same instruments and sigma, if it exists already.
 
         Raises:
             UnreachablePoseError: A pose cannot be closed.
         """
         columns = term_columns(robot, data.joints, data.conditions)
         passive = robot.assemble(data.joints, near, data.labels, data.conditions).passive
-        whitening = whitening or Whitening(robot, data, sigma)
+        whitening = Whitening(robot, data, sigma)
         unknowns = Unknowns.from_robot(robot)
         return Problem(robot, data, sigma, columns, passive, whitening, unknowns, whitening.is_unstated)
 
@@ -144,8 +142,7 @@ class Problem(ReadOnlyArrays):
         Args:
             passive: Passive joints near the solution of that problem, (n, n_passive) [m or rad].
         """
-        known = self.whitening.applies_to(data)
-        whitening = self.whitening if known else Whitening(self.robot, data, self.sigma)
+        whitening = Whitening(self.robot, data, self.sigma)
         return replace(self, data=data, passive=passive, whitening=whitening, noise_found=whitening.is_unstated)
 
     def largest_scales(self, efficiency: float = 1.0) -> FloatArray:
@@ -298,11 +295,11 @@ class Problem(ReadOnlyArrays):
             weights: Weight of each reading, (n_readings,).
 
         Returns:
-            The evaluation at the end, and the solver's result without its Jacobian, which `rows` gives.
+            The evaluation at the end, and the solver's result.
         """
         way = _SolverRows(self, start, groups, self.unknowns if unknowns is None else unknowns, weights)
         solution = minimise(way.residuals, way.jacobian, way.begin, tolerance=tolerance)
-        return way.current, replace(solution, jacobian=np.zeros((0, len(way.begin))))
+        return way.current, solution
 
 
 class _SolverRows:

@@ -50,16 +50,13 @@ def disagreeing(data: Measurements, depths: IntArray, rows: Rows, statistics: St
         depths: `Mechanism.depths` of the robot, (n_actuated,).
         rows: Whitened rows at the solution, with the weights of a robust loss.
     """
-    block = np.zeros(len(data), dtype=np.intp)
-    for k, visits in enumerate(boxes(data.joints, data.pose_numbers, BLOCKS, depths)):
-        block[visits] = k
-    cuts = {"the measured part of joint space": block}
+    cuts = {"the measured part of joint space": boxes(data.joints, data.pose_numbers, BLOCKS, depths)}
     if data.setups is not None and np.ptp(data.setups) > 0:
         cuts["the setup"] = data.setups
     layout, noise, apart = rows.layout, np.full(rows.layout.n_rows, statistics.factors.common), list[Regions]()
     for name, regions in cuts.items():
         of_row = regions[layout.visit[layout.reading]]
-        moved = scatter(rows.span, rows.residuals, noise, of_row, statistics.freedom, level=0.0)  # without core
+        moved = scatter(rows.span, rows.residuals, noise, of_row, statistics.freedom)
         poses = statistics.shared_scatter
         ratio, chance = (moved.ratio, moved.chance) if poses is None else moved.ratio_to(poses)
         if chance < HARDLY / len(cuts) and ratio > 1.0:

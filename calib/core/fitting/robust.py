@@ -2,8 +2,8 @@
 
 Given weights, the problem is the one of `calib.core.fitting.problem`; given its solution, `calib.core.numerics.losses`
 gives new weights. The alternation runs on the linear model around the present parameters, where a round costs next to
-nothing, until the weights settle. Then the parameters move to its solution, and so on until the weights settle there
-too. Last, the true problem is solved with these weights.
+nothing, until the weights settle. Then the true problem is solved with these weights, and so on until they settle
+there, too.
 
 Unstated noise is that of the median reading: least squares finds the scales of the groups of rows; then the median
 length of a group's readings sets its scale. The same holds for stated noise where the median reading contradicts it
@@ -105,13 +105,12 @@ def _solve_robust(solved: RobustSolution, loss: Loss) -> RobustSolution:
             if stage == "huber":
                 groups = _median_scales(rows, groups, noise_found)
                 rows = problem.rows(at, groups)
-            now, scale, step = _linear_solution(rows, stage, fixed, found_everywhere)
+            now, scale, _ = _linear_solution(rows, stage, fixed, found_everywhere)
             settled = bool(np.max(np.abs(now - weights)) < _WEIGHTS_STAND)
             weights = now
             if settled:
                 break
-            stepped = _try_step(problem, at, rows, step, weights, groups)
-            at = stepped or problem.solve(at, groups, weights=weights)[0]
+            at = problem.solve(at, groups, weights=weights)[0]
     if found_everywhere:  # priors weigh against the noise of the median reading
         groups, scale = groups * scale, 1.0
     at, solution = problem.solve(at, groups, weights=weights)
@@ -160,18 +159,6 @@ def _median_scales(rows: Rows, groups: FloatArray, noise_found: BoolArray) -> Fl
     if len(groups) == 1 or not np.any(noise_found):
         return groups
     return groups * np.where(noise_found, np.maximum(_levels(rows), EXACT), 1.0)
-
-
-def _try_step(
-    problem: Problem, at: Evaluation, rows: Rows, step: FloatArray, weights: FloatArray, groups: FloatArray
-) -> Evaluation | None:
-    """Return the evaluation after a Gauss-Newton step; None if the step does not lower the cost."""
-    reached = problem.evaluate_if_closed(problem.unknowns.robot_at(at.robot, rows.deviations + step), at)
-    if reached is None:
-        return None
-    return (
-        reached if problem.rows(reached, groups).with_weights(weights).cost < rows.with_weights(weights).cost else None
-    )
 
 
 def _linear_solution(

@@ -14,7 +14,6 @@ larger ones fewer. So where they are fewer at the largest scales that chance exp
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -32,17 +31,14 @@ from calib.core.fitting.solved_fit import Convergence
 from calib.core.fitting.starts import explore
 from calib.core.numerics.chances import EXACT, HARDLY, UNLIKELY
 from calib.core.numerics.clusters import Scatter, scatter
-from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.least_squares import TOLERANCE
 from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.mixed_rows import UNSEEN, SeenColumns
 from calib.core.numerics.size_search import find_sizes, unseen_variances, variance_by_sizes
 from calib.core.numerics.statistics import BeyondLinear, Factors, Statistics, find_factors, statistics
 from calib.core.numerics.tall import Span, squares_of_rows
-from calib.core.robots.robot import Robot
 from calib.core.rows.registration import register
 from calib.core.rows.rows import Rows
-from calib.core.rows.unknowns import Unknowns
 
 _LOOSE = 1e-3  # tolerance of the solver where another solve follows
 _PLACED = 1e-6  # tolerance for the state `before`: its errors then hold to a millionth
@@ -53,7 +49,6 @@ _NO_NOISE = (
     "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
     " --sigma-mm)"
 )
-_ALIKE = 1e-12  # difference of residuals of robots that move alike: rounding [SI]
 STEP_LEFT = 0.05
 """A fit has converged if its distance from the minimum is at most this many standard deviations."""
 _FAR = 0.5  # receding parameters are named if they still move by this part of the largest step
@@ -76,8 +71,6 @@ def place(problem: Problem) -> Evaluation:
     if not len(places):
         return problem.evaluate(robot)
     placed, solution = problem.evaluate(register(robot, problem.data)), None
-    if not np.any(places.prior.has) and _is_best_placed(problem, placed, places):
-        return placed
     groups = _as_found(problem, placed, problem.whitening.start(placed.residuals))
     for _ in range(_NOISE_ROUNDS):
         placed, solution = problem.solve(placed, groups, places, tolerance=_PLACED)
@@ -90,26 +83,6 @@ def place(problem: Problem) -> Evaluation:
             "placing the base and the targets did not converge; check units and axes of the measurements"
         )
     return placed
-
-
-def reuse_placement(problem: Problem, other: Robot, residuals: Mapping[str, FloatArray]) -> Evaluation | None:
-    """Return the result of `place` from another robot placed by the same readings; None if robots differ.
-
-    Args:
-        residuals: Residuals of the other robot, (n_readings, n_rows) [SI] by instrument.
-    """
-    unknowns, readings = problem.unknowns, problem.data.readings
-    known = other.values_by_name
-    places = [unknowns.names[k] for k in np.flatnonzero(unknowns.placement)]
-    sizes = {name: len(own) for name, own in readings.items()}
-    if not known.keys() >= set(places) or sizes != {name: len(own) for name, own in residuals.items()}:
-        return None
-    placed = problem.evaluate(problem.robot.with_parameters({name: known[name] for name in places}))
-    moves_alike = all(
-        np.allclose(own, residuals[name], rtol=0.0, atol=_ALIKE, equal_nan=True)
-        for name, own in placed.residuals.items()
-    )
-    return placed if moves_alike else None
 
 
 def reset_unseen(problem: Problem, placed: Evaluation) -> Evaluation:
@@ -139,14 +112,6 @@ def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> F
         left = max(int(np.sum(rows)) - n_places, 1)
         result[g] = np.sqrt(float(flat[rows] @ flat[rows]) / left) + EXACT
     return result
-
-
-def _is_best_placed(problem: Problem, placed: Evaluation, places: Unknowns) -> bool:
-    """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
-    groups = problem.whitening.start(placed.residuals)
-    residuals = problem.residuals(placed, groups)
-    explained = reduce_rows(problem.derivative(placed, groups, places), residuals)[: len(places), -1]
-    return bool(explained @ explained <= _PLACED * (residuals @ residuals))
 
 
 def solve_from(
@@ -323,8 +288,8 @@ def scatter_of_poses(
     pulling = rows.residuals if weights is None else weights[layout.reading] * rows.residuals
     several = layout.n_readings >= 2 * len(np.unique(layout.pose))  # these probably share an error
     level = HARDLY if several else UNLIKELY
-    found = scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom, level)
-    return None if found.core is None else found
+    found = scatter(span, pulling, noise, layout.pose_of_row, factors.total_freedom)
+    return found if found.ratio > 1.0 and found.chance < level else None
 
 
 def convergence_at(solved: RobustSolution, rows: Rows, std: FloatArray) -> Convergence:

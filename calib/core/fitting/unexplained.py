@@ -1,14 +1,11 @@
 """Errors of joints that residuals show in addition to noise, and that no parameter describes.
 
 Residuals larger than the noise show that the model leaves something out: gears, play, a bending link. Its effect at
-another pose is unknown, but its size is known. It is stated as an independent error of each joint at each pose. Its
-lever carries it to a position, in the directions in which joints move that position:
-
-    covariance of x(q) = B C B^T + delta^2 sum over joints of (s_j dx/dq_j)(s_j dx/dq_j)^T
-
-with delta in rad, s_j the characteristic length of the robot for a joint that slides and 1 for one that turns. Delta is
-the likeliest scatter d of the mixed model of all rows and priors (`calib.core.numerics.mixed_model`). A significance
-test would ignore small errors, which still make intervals too narrow.
+another pose is unknown, but its size is known. It is stated as an independent error of each joint at each pose, which
+its lever carries to positions (`calib.core.rows.prediction`). Its size, delta, is in rad, for a joint that slides in
+characteristic lengths of the robot. It is the likeliest scatter d of the mixed model of all rows and priors
+(`calib.core.numerics.mixed_model`). A significance test would ignore small errors, which still make intervals too
+narrow.
 
 Stated noise is 1 in whitened rows, and all residuals beyond it are delta. Unstated noise is found together with delta.
 They are told apart by geometry: joints move the tool far in some directions and hardly in others, and noise does not;
@@ -100,9 +97,7 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
 
 
 def _kinds_of_few_coefficients(fit: SolvedFit) -> tuple[CandidateTerm, ...]:
-    kinds = [
-        kind for kind in candidates(fit.robot, fit.identification.data) if not (kind.refusal or kind.reason_against)
-    ]
+    kinds = [kind for kind in candidates(fit.robot, fit.identification.data) if not kind.refusal]
     robot = with_kinds(fit.robot, kinds)
     return tuple(kind for kind in kinds if not kind.is_curve_in(robot))
 

@@ -37,7 +37,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.memoize import memoize
 from calib.core.base.threads import one_blas_thread
-from calib.core.fitting.error_sets import STATES, ErrorSet
+from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.moved_frame import validation_errors
 from calib.core.fitting.validation import readings_at
@@ -45,7 +45,6 @@ from calib.core.numerics.chances import HARDLY
 from calib.core.numerics.clusters import shifts_without_block
 from calib.core.numerics.statistics import chi_square
 from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
-from calib.core.rows.rows import Rows
 
 COVERED = 0.95
 """Chance of `Accuracy.limit95`."""
@@ -53,31 +52,30 @@ _DECIDES = 1.0 - 1e-6
 """If one pose decides more than this part of a direction, the other poses cannot predict it."""
 
 
+def unused_errors(fit: Fit) -> list[tuple[ErrorSet, PoseUse]]:
+    """Return the errors at poses that had no part in the fit, as far as there are any, in the order of the docstring.
+
+    Validation poses whose frame moved have it placed anew.
+    """
+    folds = None if fit.folds is None else fit.folds.errors
+    sets = ((validation_errors(fit), PoseUse.VALIDATION), (folds, PoseUse.FOLDS))
+    return [(errors, poses) for errors, poses in sets if errors is not None]
+
+
 def accuracy(fit: Fit) -> Accuracy:
     """Return the error of the robot of a fit at poses that it has not seen; at those used if there are no others."""
-    validation = validation_errors(fit)
-    if validation is not None:
-        return accuracy_of_errors(validation, PoseUse.VALIDATION)
-    if fit.folds is not None:
-        return accuracy_of_errors(fit.folds.errors, PoseUse.FOLDS)
-    predicted = predicted_accuracy(fit)
-    return accuracy_of_errors(fit.identification, PoseUse.USED) if predicted is None else predicted
-
-
-@memoize
-def predicted_accuracy(fit: Fit) -> Accuracy | None:
-    """Return the predicted error at poses like those used by the module docstring; None if none can be predicted."""
-    predicted = leave_one_out_errors(fit)
-    return None if predicted is None else accuracy_of_errors(predicted, PoseUse.ONE_BY_ONE)
+    unseen = unused_errors(fit)
+    if not unseen:
+        predicted = leave_one_out_errors(fit)
+        unseen = [(fit.identification, PoseUse.USED) if predicted is None else (predicted, PoseUse.ONE_BY_ONE)]
+    return accuracy_of_errors(*unseen[0])
 
 
 def accuracy_of_errors(errors: ErrorSet, poses: PoseUse) -> Accuracy:
     """Return the size of errors before and after calibration at these poses."""
-    part = errors.main_part
-    squares = [np.nansum(errors.errors(state, part.name) ** 2, axis=1) for state in STATES]
-    before, after = (float(np.sqrt(np.mean(each))) for each in squares)
-    limit, read = limit95(np.sqrt(squares[1])), (part.is_position, part.readings)
-    return Accuracy(poses, errors.data.n_poses, part.name, part.dimension, before, after, limit, *read)
+    part, limit = errors.main_part, limit95(np.sqrt(errors.squares("after")))
+    numbers = errors.rms("before"), errors.rms("after"), limit
+    return Accuracy(poses, errors.data.n_poses, part.name, part.dimension, *numbers, part.is_position, part.readings)
 
 
 def limit95(lengths: FloatArray) -> float:
@@ -93,12 +91,7 @@ def limit95(lengths: FloatArray) -> float:
 @one_blas_thread
 def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
     """Return errors of used poses, each predicted by the fit of all others; None if no pose can be predicted."""
-    data, rows = fit.identification.data, fit.weighted_rows
-    if rows is fit.rows:
-        moved, decided = _prediction_shifts(rows)
-    else:
-        pose = rows.layout.pose_of_row
-        moved, decided = shifts_without_block(rows.span, pose, rows.residuals, seen=fit.span, alone=_DECIDES)
+    data, (moved, decided) = fit.identification.data, _prediction_shifts(fit)
     read = fit.whitening.unwhiten_rows(moved, fit.scales)
     after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
     predictable = np.isin(data.pose_numbers, np.flatnonzero(decided > _DECIDES), invert=True)
@@ -107,9 +100,10 @@ def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
 
 
 @memoize
-def _prediction_shifts(rows: Rows) -> tuple[FloatArray, FloatArray]:
-    """Shifts of poses that are left out in turn; copies of a fit share them, as they hold the same rows."""
-    return shifts_without_block(rows.span, rows.layout.pose_of_row, rows.residuals, alone=_DECIDES)
+def _prediction_shifts(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Shifts of whitened rows where their pose is left out, (n_rows,), and the largest part that each pose decides."""
+    rows = fit.weighted_rows
+    return shifts_without_block(rows.span, rows.layout.pose_of_row, rows.residuals, seen=fit.span, alone=_DECIDES)
 
 
 def left_out_ratio(fit: Fit) -> float:
@@ -122,10 +116,10 @@ def left_out_ratio(fit: Fit) -> float:
     square = float(np.sum(rows.residuals**2))
     if fit.computed or not (freedom > 0 and square > 0):
         return 1.0
-    moved, decided = _prediction_shifts(rows)
-    kept = ~np.isin(rows.layout.pose_of_row, np.flatnonzero(decided > _DECIDES))
-    r = rows.residuals[kept]
-    more = float(r @ (r + moved[kept])) / max(len(r), 1) * freedom / square
+    (moved, decided), layout = _prediction_shifts(fit), rows.layout
+    kept = (layout.group >= 0) & ~np.isin(layout.pose_of_row, np.flatnonzero(decided > _DECIDES))
+    r, moved = rows.residuals[kept], (np.sqrt(fit.weights)[layout.reading] * moved)[kept]
+    more = float(r @ (r + moved)) / max(len(r), 1) * freedom / square
     ratio = math.sqrt(max(more, 1.0))
     return ratio if chi_square(ratio, len(r)).p_larger < HARDLY else 1.0
 
@@ -139,9 +133,8 @@ def rms_shift_left_out(fit: Fit) -> float:
     if predicted is None:
         return math.nan
     used = errors_at_visits(whole, np.flatnonzero(np.isin(whole.data.names, predicted.data.names)))
-    part = predicted.main_part.name
-    moved = predicted.errors("after", part) - used.errors("after", part)
-    return float(np.sqrt(np.mean(np.nansum(moved**2, axis=1))))
+    moved = {name: errors - used.after[name] for name, errors in predicted.after.items()}
+    return replace(predicted, after=moved).rms("after")
 
 
 def errors_at_visits(errors: ErrorSet, visits: IntArray) -> ErrorSet:

@@ -99,7 +99,7 @@ def cross_validate(
                     whole[name] = np.empty((len(data.readings[name]), rows.shape[1]))
                 whole[name][readings_at(data.readings[name], held)] = rows
         singular[held] = errors.singular_value
-        rms.append(float(np.sqrt(np.mean(np.sum(errors.errors("after", errors.parts()[0][1].name) ** 2, axis=1)))))
+        rms.append(errors.rms("after"))
         converged &= well
     errors = ErrorSet(data, instruments, before, after, singular)
     return Folds(len(folds), seed, errors, tuple(rms), converged, setups)

@@ -344,8 +344,7 @@ def _expected_distances(
     if not n:
         return ExpectedDistances(float("nan"), float("nan"), float("nan"))
     slope = np.concatenate(slopes)
-    places = linalg.svd(unit_columns(slope[:, placed])[0], full_matrices=False)
-    basis = places[0][:, places[1] > RANK_TOLERANCE]
+    basis = linalg.orth(unit_columns(slope[:, placed])[0], RANK_TOLERANCE)
     spread = slope[:, uncertain] @ root
     spread -= basis @ (basis.T @ spread)
     left = len(slope) - basis.shape[1]

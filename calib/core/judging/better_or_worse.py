@@ -38,11 +38,11 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import ERROR_UNIT, Dimension, quantity_text
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.moved_frame import validation_errors
+from calib.core.fitting.unseen_errors import accuracy_of_errors, unused_errors
 from calib.core.numerics.chances import FEWEST, UNLIKELY
+from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
 
 HARM = 1.25
 """A fit harms if errors after it are more than this many times as large as before. With twice as many rows as
@@ -54,39 +54,32 @@ class UnusedErrors:
     """Errors on one set of unused poses.
 
     Attributes:
-        before, after: Root mean square error of the main part of the readings [SI].
         better, worse: Whether the calibration made errors smaller, or larger, beyond chance.
     """
 
     name: str
-    before: float
-    after: float
-    dimension: Dimension
+    accuracy: Accuracy
     better: bool
     worse: bool
 
     @property
     def words(self) -> str:
         """Both root mean squares in words."""
-        after, before = (quantity_text(rms, ERROR_UNIT[self.dimension], ".4f") for rms in (self.after, self.before))
-        return f"RMS {after} after, {before} before"
+        known = self.accuracy
+        return f"RMS {known.in_unit(known.rms)} after, {known.in_unit(known.before)} before"
 
 
 def comparisons(fit: Fit) -> Iterator[UnusedErrors]:
     """Compare before and after on the validation poses and in cross-validation, as far as these exist."""
-    if fit.computed:
-        return
-    validation = validation_errors(fit)
-    if validation is not None:
-        anew = "" if validation is fit.validation else ", their frame placed anew"
-        yield _compare(fit, f"the validation poses{anew}", validation, 1.0)
-    if fit.folds is not None:
-        fewer = fit.folds.count / (fit.folds.count - 1)  # each fold is predicted by a fit of the others
-        left_out = "setups" if fit.folds.setups else "poses"
-        yield _compare(fit, f"{left_out} left out in turn", fit.folds.errors, fewer)
+    for errors, poses in () if fit.computed else unused_errors(fit):
+        name, fewer = f"the validation poses{'' if errors is fit.validation else ', their frame placed anew'}", 1.0
+        if poses is PoseUse.FOLDS and fit.folds is not None:
+            name = f"{'setups' if fit.folds.setups else 'poses'} left out in turn"
+            fewer = fit.folds.count / (fit.folds.count - 1)  # each fold is predicted by a fit of the others
+        yield _compare(fit, name, errors, poses, fewer)
 
 
-def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> UnusedErrors:
+def _compare(fit: Fit, name: str, errors: ErrorSet, poses: PoseUse, covariance: float) -> UnusedErrors:
     before, rows = fit.whitened_residuals_and_rows(errors)
     scaled = fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
     product = rows.jacobian.T @ rows.jacobian @ (covariance * scaled)
@@ -102,9 +95,7 @@ def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Unused
     spread = _margin_above_mean(product, mixed, fit.statistics.freedom)
     return UnusedErrors(
         name,
-        errors.rms("before"),
-        errors.rms("after"),
-        errors.main_part.dimension,
+        accuracy_of_errors(errors, poses),
         better=change < min(0.0, expected - spread) or _has_grown(pose, rows.residuals, before),
         worse=change > expected + spread or _has_grown(pose, before, rows.residuals),
     )

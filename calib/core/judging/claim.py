@@ -1,8 +1,7 @@
 """The claim of a calibration on the error of the robot where it was measured, and its test at unused poses.
 
-The claim. Each used pose is predicted by the fit of all others (`calib.core.fitting.unseen_errors`). Of these errors,
-95 in 100 at further poses like them stay below `limit95`, whatever their distribution. They contain errors of the model
-as well as noise; the covariance of the parameters counts noise alone.
+The claim. Each used pose is predicted by the fit of all others. Of the errors at further poses like them, 95 in 100
+stay below `limit95`, whatever their distribution (`calib.core.fitting.unseen_errors`).
 
 Whether it holds. At n poses that had no part in the fit, such as validation poses, the root mean square error may be
 `MORE` times that of the claim; more only where n is so small that chance makes it so in one case of a thousand (F, with
@@ -39,7 +38,7 @@ predict each other.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property, partial
@@ -48,22 +47,20 @@ from typing import Any, Self
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.arrays import BoolArray
 from calib.core.base.contributions import Contributions, Uncertainty, contributions_to
 from calib.core.base.units import ERROR_UNIT, Dimension, from_unit, in_unit
 from calib.core.base.words import listing
 from calib.core.data.pose_groups import APART, is_apart
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.moved_frame import validation_errors
-from calib.core.fitting.outliers import Outlier
 from calib.core.fitting.unseen_errors import (
     COVERED,
     accuracy_of_errors,
     errors_at_visits,
     leave_one_out_errors,
-    predicted_accuracy,
     rms_shift_left_out,
+    unused_errors,
 )
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import comparisons, surely_positive
@@ -237,39 +234,32 @@ class Claim:
 def claim_of(fit: Fit) -> Claim | None:
     """Return the claim of a fit; None for computed data, and where no pose can be predicted."""
     predicted = None if fit.computed else leave_one_out_errors(fit)
-    measured = predicted_accuracy(fit)
-    if predicted is None or measured is None:
+    if predicted is None:
         return None
+    measured = accuracy_of_errors(predicted, PoseUse.ONE_BY_ONE)
     if np.all(fit.unknowns.placement):
         measured = replace(measured, before=float("nan"))
-    unused = []
-    validation = validation_errors(fit)
-    if validation is not None:
-        unused.append((validation, PoseUse.VALIDATION, findings.validation_outliers(fit)))
-    if fit.folds is not None:
-        unused.append((fit.folds.errors, PoseUse.FOLDS, findings.outliers(fit)))
     seen = list[SeenUnused]()
-    for errors, where, outliers in unused:
+    for errors, where in unused_errors(fit):
         accuracy = accuracy_of_errors(errors, where)
         if (accuracy.part, accuracy.dimension) == (measured.part, measured.dimension):
             more = accuracy.rms > _most(fit, measured, accuracy) * measured.rms
-            kept = _accuracy_without_outliers(fit, measured, errors, where, outliers) if more else None
+            kept = _accuracy_without_outliers(fit, measured, errors, where) if more else None
             seen.append(SeenUnused(accuracy, kept, not more or kept is not None))
     region = f"at poses like the {fit.identification.data.n_poses} measured"
     return Claim(measured, tuple(seen), _gain(fit, predicted), region, _narrow(fit), partial(_known, fit, measured))
 
 
-def _accuracy_without_outliers(
-    fit: Fit, measured: Accuracy, errors: ErrorSet, where: PoseUse, outliers: Sequence[Outlier]
-) -> Accuracy | None:
+def _accuracy_without_outliers(fit: Fit, measured: Accuracy, errors: ErrorSet, where: PoseUse) -> Accuracy | None:
     """Return the error at unused poses without a few outliers, if the claim holds for them; else None."""
-    gone = {outlier.pose for outlier in outliers}
+    outliers = findings.validation_outliers if where is PoseUse.VALIDATION else findings.outliers
+    gone = {outlier.pose for outlier in outliers(fit)}
     if not 0 < len(gone) <= (1.0 - COVERED) * len(errors.data):
         return None
     accuracy = accuracy_of_errors(
         errors_at_visits(errors, np.setdiff1d(np.arange(len(errors.data)), list(gone))), where
     )
-    lengths = np.sqrt(np.nansum(errors.errors("after", measured.part) ** 2, axis=1))
+    lengths = np.sqrt(errors.squares("after"))
     beyond = int(np.sum(lengths > MORE * measured.limit95))
     few = beyond == 0 or scipy.special.bdtrc(beyond - 1, len(lengths), 1.0 - COVERED) >= UNLIKELY
     return accuracy if few and accuracy.rms <= _most(fit, measured, accuracy) * measured.rms else None
@@ -304,18 +294,13 @@ def _most(fit: Fit, measured: Accuracy, seen: Accuracy) -> float:
     return max(MORE, float(np.sqrt(bound)))
 
 
-def _squares(errors: ErrorSet, state: str) -> FloatArray:
-    lengths = errors.errors(state, errors.main_part.name)
-    return np.asarray(np.nansum(np.square(lengths).reshape(len(lengths), -1), axis=1))
-
-
 def _gain(fit: Fit, predicted: ErrorSet) -> Benefit:
     compared = list(comparisons(fit))
     if any(comparison.worse for comparison in compared):
         return Benefit.WORSE
     if compared:
         return Benefit.BETTER if any(comparison.better for comparison in compared) else Benefit.NONE
-    change = _squares(predicted, "after") - _squares(predicted, "before")
+    change = predicted.squares("after") - predicted.squares("before")
     return Benefit.WORSE if surely_positive(change) else Benefit.BETTER if surely_positive(-change) else Benefit.NONE
 
 

@@ -112,19 +112,18 @@ def joint_causes(robot: Robot) -> tuple[str, ...]:
     return (*causes[: len(causes) - len(terms)], *terms)
 
 
-def error_budget(fit: Fit, causes_by_parameter: Sequence[str] | None = None) -> ErrorBudget:
+def error_budget(fit: Fit, causes_by_parameter: Sequence[str]) -> ErrorBudget:
     """Return the error budget of the validation readings of a fit, or of all readings without validation.
 
     Args:
-        causes_by_parameter: The cause of each parameter, (n_parameters,); `causes_of` if not given.
+        causes_by_parameter: The cause of each parameter, (n_parameters,), such as `causes_of`.
 
     Raises:
         UnreachablePoseError: The robot cannot be assembled on the path from before to after.
     """
     errors, unknowns, unused = fit.validation or fit.identification, fit.unknowns, fit.validation_rows
     rows = fit.rows if unused is None else unused
-    named = causes_of(fit.robot) if causes_by_parameter is None else causes_by_parameter
-    of_parameter = np.array(named)[unknowns.index]
+    of_parameter = np.array(causes_by_parameter)[unknowns.index]
     causes = list(dict.fromkeys(of_parameter.tolist()))
     members = np.array([of_parameter == cause for cause in causes])
     layout = rows.layout
@@ -185,10 +184,10 @@ def _integrate(
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
         jacobian, residuals = _batches(robot, errors, unknowns, layout)
-        by_places, moved = jacobian[of_counted][:, unknowns.placement], (jacobian @ steps)[of_counted]
-        root, total = _root_of_span(by_places), np.sum(moved, axis=1)
-        absorbed = by_places @ (root @ (root.T @ (by_places.T @ total)))
-        moved -= by_places @ (root @ (root.T @ (by_places.T @ moved)))
+        by_places, moved = _basis(jacobian[of_counted][:, unknowns.placement]), (jacobian @ steps)[of_counted]
+        total = np.sum(moved, axis=1)
+        absorbed = by_places @ (by_places.T @ total)
+        moved -= by_places @ (by_places.T @ moved)
         moved[:, places] += absorbed
         removed[of_counted] -= weight * residuals[of_counted, None] * moved
         for k, column in enumerate((total - absorbed, absorbed, *moved.T)):
@@ -216,7 +215,7 @@ def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolA
     n = rows.jacobian.shape[1]  # only rows that count; a triangular factor has the same sums over them
     jacobian = rows.factor[:n, :-1] if np.all(counted) else reduce_rows(rows.jacobian[counted])
     pulled = (jacobian @ rows.posterior_information.root) @ rows.posterior_information.root.T
-    placing = jacobian[:, unknowns.placement] @ _root_of_span(jacobian[:, unknowns.placement])
+    placing = _basis(jacobian[:, unknowns.placement])
     absorbed = placing.T @ jacobian
     leverage: FloatArray = members @ np.sum((jacobian - placing @ absorbed) * pulled, axis=0)
     leverage[_cause_of_places(unknowns, members)] += float(np.sum(absorbed * (placing.T @ pulled)))
@@ -228,14 +227,9 @@ def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
     return int(np.argmax(members[:, int(np.argmax(unknowns.placement))]))
 
 
-def _root_of_span(columns: FloatArray) -> FloatArray:
-    """Return K (k, rank) with A K an orthonormal basis of the span of columns A (n, k); rounding counts as zero."""
-    unit, lengths = unit_columns(
-        reduce_rows(columns)
-    )  # a turn of a target does not move its point: a column of rounding
-    _, s, right = linalg.svd(unit, full_matrices=False)
-    kept = s > RANK_TOLERANCE * np.max(s, initial=0.0)
-    return np.asarray((right[kept] / s[kept, None]).T / lengths[:, None])
+def _basis(columns: FloatArray) -> FloatArray:
+    """Orthonormal basis of columns (n, k), (n, rank); a turn of a target does not move its point: that is rounding."""
+    return linalg.orth(unit_columns(columns)[0], RANK_TOLERANCE)
 
 
 def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:

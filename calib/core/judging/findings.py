@@ -19,7 +19,7 @@ from calib.core.judging import residual_patterns
 from calib.core.judging.acceptance_system import System
 from calib.core.judging.effect_kinds import Kind, Pattern, Trait
 from calib.core.judging.effects import effects
-from calib.core.judging.error_budget import ErrorBudget, error_budget, joint_causes
+from calib.core.judging.error_budget import ErrorBudget, causes_of, error_budget, joint_causes
 from calib.core.judging.linear_fit import LinearFit
 from calib.core.judging.promise import Promise
 from calib.core.judging.row_derivatives import EffectSetting
@@ -145,7 +145,7 @@ def budget(fit: Fit) -> ErrorBudget | None:
 
     None if the robot cannot be assembled at a step between before and after.
     """
-    return _budget(fit)
+    return _budget(fit, causes_of(fit.robot))
 
 
 @memoize
@@ -155,7 +155,7 @@ def joint_budget(fit: Fit) -> ErrorBudget | None:
     return _budget(fit, joint_causes(fit.robot))
 
 
-def _budget(fit: Fit, causes: Sequence[str] | None = None) -> ErrorBudget | None:
+def _budget(fit: Fit, causes: Sequence[str]) -> ErrorBudget | None:
     try:
         return error_budget(sample_of_poses(fit) if fit.validation is None else fit, causes)
     except UnreachablePoseError:

@@ -20,7 +20,7 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import millimetres
-from calib.core.fitting.error_sets import ErrorSet
+from calib.core.fitting.error_sets import ErrorSet, repeats
 from calib.core.numerics import iso9283
 from calib.core.numerics.iso9283 import CYCLES, Figure
 
@@ -72,19 +72,15 @@ def _pose_scatters(errors: ErrorSet, part_name: str = "") -> list[PoseScatter]:
     for instrument, part, rows in errors.parts():
         if part.name != part_name if part_name else not part.is_position:
             continue
-        readings = errors.data.readings[instrument.name]
-        pose = errors.data.pose_numbers[readings.visits]
-        _, number, count = np.unique(
-            pose * (1 + np.max(readings.pairs, initial=0)) + readings.pairs, return_inverse=True, return_counts=True
-        )
+        all_visits, number = errors.data.readings[instrument.name].visits, repeats(errors.data)[instrument.name][1]
+        count = np.bincount(number)
         several = np.flatnonzero(count[number] > 1)
         several = several[np.argsort(number[several], kind="stable")]
         for group in np.split(several, np.cumsum(count[count > 1])[:-1]) if len(several) else ():
             before, after = errors.before[instrument.name][group], errors.after[instrument.name][group]
-            visits = readings.visits[group]
-            result.append(
-                PoseScatter(instrument.name, int(pose[group[0]]), group, visits, before[:, rows], after[:, rows])
-            )
+            visits = all_visits[group]
+            pose = int(errors.data.pose_numbers[visits[0]])
+            result.append(PoseScatter(instrument.name, pose, group, visits, before[:, rows], after[:, rows]))
     return result
 
 

@@ -267,4 +267,4 @@ def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: Floa
     result = chance(left)
     if result >= limit:
         return result
-    return chance(left + shifts_without_block(residuals.span, pose, left, further_columns=basis)[0])
+    return chance(left + shifts_without_block(residuals.span.with_columns(basis), pose, left)[0])

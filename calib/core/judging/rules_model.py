@@ -255,7 +255,7 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
             f"nothing to correct: {evidence}. No error of the parameters is visible beside"
             f" the noise of {noise_in_words(fit.first_noise, fit.sigma)}"
         )
-    elif entries and all(entry.after >= entry.before for entry in entries):
+    elif entries and all(entry.accuracy.rms >= entry.accuracy.before for entry in entries):
         yield Code.NO_GAIN.says(
             f"poses that were not used get no better: {evidence}. Only the poses used get better: the fit describes"
             " what is special about them. Measure more poses, spread over the space where the robot will work"

@@ -239,16 +239,10 @@ def _size(slope: FloatArray, covariance: FloatArray) -> float:
 
 def _covariance_given(covariance: FloatArray, known: BoolArray) -> FloatArray:
     """Covariance of all quantities if some of them were known (n,): the conditional one of the others, and zeros."""
-    size = np.sqrt(np.diag(covariance))
-    size = np.where(size > 0, size, 1.0)
-    left, correlation = ~known, covariance / np.outer(size, size)
-    known_block = correlation[np.ix_(known, known)] + _NO_VARIANCE * np.eye(
-        int(np.sum(known))
-    )  # some may not be determined
-    across = correlation[np.ix_(left, known)]
-    result = np.zeros_like(covariance)
-    result[np.ix_(left, left)] = correlation[np.ix_(left, left)] - across @ np.linalg.solve(known_block, across.T)
-    return np.asarray(result * np.outer(size, size))
+    size = np.sqrt(np.where(np.diag(covariance) > 0.0, np.diag(covariance), 1.0))
+    unit = covariance / np.outer(size, size) + _NO_VARIANCE * np.diag(known)  # some may not be determined
+    left = unit - unit[:, known] @ np.linalg.solve(unit[np.ix_(known, known)], unit[known])
+    return np.where(known | known[:, None], 0.0, left * np.outer(size, size))
 
 
 def check_tolerance(fit: Fit, claim: Claim) -> Iterator[Reason]:

@@ -39,11 +39,9 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.core.numerics import linalg
-from calib.core.numerics.chances import UNLIKELY
 from calib.core.numerics.tall import Span
 
 _OWN = 0.99  # if a block decides this part of a direction, the other blocks cannot predict it
-_FEW = 30  # in longer blocks, eigenvectors take less time than products of the rows
 _ROWS_AT_ONCE = 30_000
 _NONE = 1e-150  # noise of data that were computed, not measured
 
@@ -58,14 +56,14 @@ class Scatter(ReadOnlyArrays):
         chance: Chance of a D at least this large from independent rows.
         freedom: Number of squares behind a direction of the core.
         total_freedom: Number of squares behind D.
-        core: Covariance of U^T e, (k, k), where the rows of a block share errors; else None.
+        core: Covariance of U^T e, (k, k).
     """
 
     ratio: float
     chance: float
     freedom: float
     total_freedom: float
-    core: FloatArray | None = None
+    core: FloatArray
 
     def ratio_to(self, finer: Scatter) -> tuple[float, float]:
         """Return the ratio of this scatter to that of smaller blocks inside these, and its chance if both are alike."""
@@ -74,12 +72,7 @@ class Scatter(ReadOnlyArrays):
 
 
 def scatter(
-    span: FloatArray | Span,
-    residuals: FloatArray,
-    noise: FloatArray,
-    block: IntArray,
-    freedom: float,
-    level: float = UNLIKELY,
+    span: FloatArray | Span, residuals: FloatArray, noise: FloatArray, block: IntArray, freedom: float
 ) -> Scatter:
     """Return the scatter of the rows of blocks.
 
@@ -89,64 +82,34 @@ def scatter(
         noise: f of each row, (n_rows,).
         block: Block of each row, (n_rows,); -1 for rows that belong to none.
         freedom: Degrees of freedom of the estimate of f.
-        level: A smaller chance says that the rows of a block share errors.
     """
     k, noisy = span.shape[1], False
-    leverage = np.zeros((k, k))
-    moved = mean = squares = decided_parts = fourth = 0.0
-    for rows in blocks_of_equal_length(block):
-        own, errors, size = span[rows], residuals[rows], np.sqrt(np.mean(noise[rows] ** 2, axis=1))
-        products = np.matmul(own, own.swapaxes(1, 2)) if rows.shape[1] <= _FEW else None
-        if products is not None and _all_below(products, _OWN):
-            parts, of_squares = np.trace(products, axis1=1, axis2=2), float(np.sum(products**2))
-        else:  # by directions, each a block; w of a reading that a robust loss rejects may exceed 1 in the products
-            values, errors, own = directions(own, errors)
-            parts, of_squares, size = np.sum(values, axis=1), float(np.sum(values**2)), size.repeat(values.shape[1])
-            kept = values.reshape(-1, 1) < _OWN  # not those that a block decides alone
-            own = np.where(kept[..., None], own.reshape(-1, 1, k), 0.0)
-            errors = np.where(kept, errors.reshape(-1, 1), 0.0)
-            products = np.matmul(own, own.swapaxes(1, 2))
-        decided_parts += float(np.sum(parts))
-        fourth += 2.0 * of_squares + float(np.sum(parts**2))
-        gain = np.linalg.solve(np.eye(len(products[0])) - products, products)  # H (1 - H)^-1
-        drawn = (errors / np.maximum(size, _NONE)[:, None])[..., None]
-        moved += float(np.sum(drawn * np.matmul(gain, drawn)))
-        mean += float(np.sum(np.trace(products, axis1=1, axis2=2)))
-        squares += float(np.sum(products**2) - np.sum(np.matmul(products, gain) ** 2))
-        leverage += own.reshape(-1, k).T @ np.matmul(gain, own).reshape(-1, k)
-        noisy = noisy or bool(np.any(noise[rows] > _NONE))
-    half_variance = squares + float(np.sum(leverage**2))
-    behind = decided_parts**2 * (k + 2) / (k * fourth) if fourth > 0.0 else 0.0
-    if not (noisy and mean > 0.0 and half_variance > 0.0):
-        return Scatter(float("nan"), 1.0, behind, 0.0)
-    total_freedom, square = mean**2 / half_variance, moved / mean
-    chance = float(scipy.special.fdtrc(total_freedom, freedom, square))
-    core = core_of_blocks(span, residuals, noise, block) if square > 1.0 and chance < level else None
-    return Scatter(float(np.sqrt(square)), chance, behind, total_freedom, core)
-
-
-def _all_below(products: FloatArray, limit: float) -> bool:
-    """Whether all eigenvalues of some symmetric matrices (n, m, m) are below a limit."""
-    try:
-        np.linalg.cholesky(limit * np.eye(products.shape[1]) - products)
-    except np.linalg.LinAlgError:
-        return False
-    return True
-
-
-def core_of_blocks(span: FloatArray | Span, residuals: FloatArray, noise: FloatArray, block: IntArray) -> FloatArray:
-    """Return the core of the module docstring, (k, k); arguments as in `scatter`."""
-    k = span.shape[1]
-    core = np.zeros((k, k))
+    core, all_moved = np.zeros((2, k, k))  # `all_moved` is the sum of all W_b
+    square = mean = squares = decided = fourth = 0.0
     for rows in blocks_of_equal_length(block):
         values, errors, turned = directions(span[rows], residuals[rows])
-        level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
+        size = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
+        decided += float(np.sum(values))
+        fourth += float(2.0 * np.sum(values**2) + np.sum(np.sum(values, axis=1) ** 2))
         alone = values >= _OWN
-        drawn = np.where(alone, 0.0, errors / np.sqrt(np.where(alone, 1.0, 1.0 - values)))
-        pulls = np.matmul(drawn[:, None], turned)[:, 0]
-        by_noise = (turned * np.where(alone, level, 0.0)[..., None]).reshape(-1, k)
+        w = np.where(alone, 0.0, values)
+        gain = w / (1.0 - w)
+        square += float(np.sum(gain * (errors / np.maximum(size, _NONE)) ** 2))
+        mean += float(np.sum(w))
+        squares += float(np.sum(w**2) - np.sum((gain * w) ** 2))
+        flat = turned.reshape(-1, k)
+        all_moved += flat.T @ (gain.reshape(-1, 1) * flat)
+        pulls = np.matmul(np.where(alone, 0.0, errors / np.sqrt(1.0 - w))[:, None], turned)[:, 0]
+        by_noise = (size[..., None] * turned)[alone]
         core += pulls.T @ pulls + by_noise.T @ by_noise
-    return core
+        noisy = noisy or bool(np.any(size > _NONE))
+    half_variance = squares + float(np.sum(all_moved**2))
+    behind = decided**2 * (k + 2) / (k * fourth) if fourth > 0.0 else 0.0
+    if not (noisy and mean > 0.0 and half_variance > 0.0):
+        return Scatter(float("nan"), 1.0, behind, 0.0, core)
+    total_freedom = mean**2 / half_variance
+    chance = float(scipy.special.fdtrc(total_freedom, freedom, square / mean))
+    return Scatter(float(np.sqrt(square / mean)), chance, behind, total_freedom, core)
 
 
 def blocks_of_equal_length(block: IntArray) -> Iterator[IntArray]:
@@ -190,7 +153,6 @@ def shifts_without_block(
     block: IntArray,
     residuals: FloatArray,
     *,
-    further_columns: FloatArray | None = None,
     seen: FloatArray | Span | None = None,
     alone: float = _OWN,
 ) -> tuple[FloatArray, FloatArray]:
@@ -203,13 +165,12 @@ def shifts_without_block(
         span: U = J T of whitened rows of the fit, (n_rows, k).
         block: Block of each row, (n_rows,); -1 for rows that belong to none, which do not move.
         residuals: r, whitened, (n_rows,).
-        further_columns: Further columns of U, (n_rows, n_further); none if not given.
         seen: U without the weights of a robust loss, (n_rows, k), of the rows that move; U if not given.
         alone: Nothing moves along a direction of which a block decides at least this part.
     """
     moved, largest = np.zeros(len(residuals)), np.zeros(int(block.max(initial=-1)) + 1)
     for rows in blocks_of_equal_length(block):
-        own = span[rows] if further_columns is None else np.concatenate([span[rows], further_columns[rows]], axis=2)
+        own = span[rows]
         values, errors, turned = directions(own, residuals[rows])
         gain = np.where(values < alone, 1.0 / np.maximum(1.0 - values, 1.0 - alone), 0.0)
         step = np.matmul(turned.transpose(0, 2, 1), (gain * errors)[:, :, None])

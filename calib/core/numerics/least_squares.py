@@ -128,7 +128,6 @@ class LeastSquaresSolution:
     Attributes:
         x: The unknowns, (n,).
         residuals: r(x), (m,).
-        jacobian: J(x) as the caller's function returned it, (m, n).
         converged: Whether a stopping rule was met before the evaluations ran out.
         message: The rule that ended it.
         recedes: Whether the minimum was given up because it recedes.
@@ -136,7 +135,6 @@ class LeastSquaresSolution:
 
     x: FloatArray
     residuals: FloatArray
-    jacobian: FloatArray | LinearModel
     cost: float
     converged: bool
     evaluations: int
@@ -187,7 +185,7 @@ def minimise(
     evaluations += path.go_back(jacobian)
     best, converged = path.current, bool(message)
     message = message or (_RECEDES if recedes else _LIMIT)
-    return LeastSquaresSolution(best.x, best.residuals, best.given, best.cost, converged, evaluations, message, recedes)
+    return LeastSquaresSolution(best.x, best.residuals, best.cost, converged, evaluations, message, recedes)
 
 
 def _cost(values: FloatArray) -> float:

@@ -39,7 +39,7 @@ class LinearPoint:
     """
 
     def __init__(self, x: FloatArray, residuals: FloatArray, jacobian: FloatArray | LinearModel) -> None:
-        self.x, self.residuals, self.given = x, residuals, jacobian
+        self.x, self.residuals = x, residuals
         none = Prior(np.zeros(len(x), dtype=bool))
         self.model = jacobian if isinstance(jacobian, LinearModel) else LinearModel(residuals, jacobian, none, x)
         self.cost = float(residuals @ residuals)

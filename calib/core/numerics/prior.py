@@ -51,10 +51,6 @@ class Prior(ReadOnlyArrays):
         root[np.ix_(self.together, self.together)] = np.linalg.cholesky(self.correlations)
         return root
 
-    @cached_property
-    def _precision(self) -> FloatArray:
-        return np.asarray(self._whitening.T @ self._whitening)
-
     def times(self, matrix: FloatArray) -> FloatArray:
         """Return P times a matrix or vector (n, ...), (n_priors, ...)."""
         if not len(self.together):
@@ -76,16 +72,13 @@ class Prior(ReadOnlyArrays):
 
     def gradient(self, u: FloatArray) -> FloatArray:
         """Return P^T P u, (n,)."""
-        pull = np.where(self.has, u, 0.0)
-        if len(self.together):
-            pull[self.together] = self._precision @ u[self.together]
-        return pull
+        return self.transposed_product(self.times(u))
 
     def add_to(self, matrix: FloatArray) -> FloatArray:
         """Return matrix + P^T P, (n, n), written into the matrix."""
         matrix[self._own_prior_parameters, self._own_prior_parameters] += 1.0
         if len(self.together):
-            matrix[np.ix_(self.together, self.together)] += self._precision
+            matrix[np.ix_(self.together, self.together)] += self._whitening.T @ self._whitening
         return matrix
 
     def select(self, chosen: BoolArray | IntArray) -> Prior:

@@ -59,7 +59,6 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel, RowGroups
@@ -78,7 +77,6 @@ _LEAST_FREEDOM = 1e-6  # of a group whose rows flat columns explain but for roun
 _NOTHING = 1e-300
 _STEP = 1.5  # largest step of a logarithm
 _SHORTER = 0.1, 0.5  # limits of the factor by which a step is shortened
-_CONVERGED = 0.03  # last step of the logarithm of a noise
 _FLAT_COST = 1e-6  # largest slope of a cost that no longer falls
 _GAIN = 5e-4  # least fall of the cost for which a search continues, if not given
 _FINE_GAIN = 1e-8  # the same of a search of noise alone, whose steps are quick
@@ -236,14 +234,10 @@ def noise_given_scatter(at: SolvedModel, scatter: float) -> FloatArray:
     noise = at.model.sizes(at.logs)[1]
     every = replace(at.model.rows, has_stated_noise=np.zeros(len(noise), dtype=bool))
     model, n = replace(at.model, rows=every), at.model.n_families
-    logs, bounds = np.concatenate([at.logs[:n], np.log(noise), [np.log(scatter)]]), _Bounds.from_model(model)
-    for _ in range(_ROUNDS):
-        solved = model.solve(logs, at.seen)
-        step = np.clip(-solved.gradient[n:-1] / np.diag(solved.information)[n:-1], -_STEP, _STEP)
-        logs[n:-1] = np.clip(logs[n:-1] + step, bounds.least[n:-1], bounds.most[n:-1])
-        if np.max(np.abs(step)) < _CONVERGED:
-            break
-    return np.asarray(np.exp(logs[n:-1]))
+    logs = np.concatenate([at.logs[:n], np.log(noise), [np.log(scatter)]])
+    stays = (np.arange(len(logs)) < n) | (np.arange(len(logs)) == len(logs) - 1)
+    found = _descend(model.solve(logs), _Bounds.from_model(model), stays, _FINE_GAIN)
+    return np.asarray(np.exp(found.logs[n:-1]))
 
 
 def _with_all_components(at: SolvedModel) -> SolvedModel:
@@ -389,13 +383,7 @@ def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: Floa
     spread = spread_of_sizes(covariance, family)
     slopes = np.stack([2.0 * covariance[:, index] @ deviations[index] for index in members], axis=1)
     added: FloatArray = slopes @ spread @ slopes.T
-    weights, columns = list[FloatArray](), list[FloatArray]()
     for f, index in enumerate(members):
-        values, vectors = linalg.eigh(covariance[np.ix_(index, index)])
-        weights.append(spread[f, f] * (4.0 * values - 2.0))
-        columns.append(covariance[:, index] @ vectors)
-    scaled = np.concatenate(columns, axis=1) * np.sqrt(np.abs(weight := np.concatenate(weights)))
-    for sign in (1.0, -1.0):  # products with their own transpose: half of the work
-        part = scaled[:, np.sign(weight) == sign]
-        added += sign * (part @ part.T)
+        own, bend = covariance[:, index], 4.0 * covariance[np.ix_(index, index)] - 2.0 * np.eye(len(index))
+        added += spread[f, f] * (own @ bend @ own.T)
     return added

@@ -20,10 +20,8 @@ groups of rows (instruments, or position and orientation), each with its own fac
 Where the readings of a pose share errors, or some poses scatter more than others, beyond chance, the sum between T and
 its transpose is replaced by the scatter of the poses themselves (`calib.core.numerics.clusters`).
 `calib.core.numerics.size_search` adds to C where the size of some priors was found from the same data.
-`calib.core.fitting.robust` gives f and its counterpart in C with a robust loss.
-`calib.core.fitting.curvature` adds to the variance in intervals if only a prior holds a direction in the linear model,
-but readings see it beyond that. The addition is no part of C, nor of std. It takes longer than all the rest, and is
-therefore computed only when intervals are asked for.
+`calib.core.fitting.robust` gives f and its counterpart in C with a robust loss. `calib.core.fitting.curvature` adds to
+the variance in intervals; this takes longer than all the rest, and is computed only when intervals are asked for.
 
 Intervals are value +- t std, widened as above, with Student's t at 97.5 %, because the noise is found from the same
 residuals. Its degrees of freedom are those above, or those of the scatter of poses if that is used and has fewer. The
@@ -41,7 +39,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy
@@ -102,12 +99,8 @@ class BeyondLinear:
         hold(values)
         return values
 
-    def __reduce__(self) -> tuple[Any, ...]:  # values alone, without the data that `compute` holds
-        return _excess_from, (self.values,)
-
-
-def _excess_from(values: FloatArray) -> BeyondLinear:
-    return BeyondLinear(lambda: values)
+    def __getstate__(self) -> dict[str, FloatArray]:  # values alone, without the data that `compute` holds
+        return {"values": self.values}
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,12 +158,6 @@ class Statistics(ReadOnlyArrays):
         """Return the statistics with another covariance of u, (n, n), its scales (n,), and mask of priors (n,)."""
         covariance, std, share = _parameter_uncertainty(scaled_covariance, scales, has_prior)
         return replace(self, covariance=covariance, std=std, data_share=share)
-
-    def correlations(self) -> FloatArray:
-        """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN without scatter."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            unit = self.covariance / self.std / self.std[:, None]
-        return np.clip(unit, -1.0, 1.0)
 
 
 def status(
@@ -288,25 +275,18 @@ def statistics(
         poses, beyond_linear: Attributes of the result.
         by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
     """
-    shared = None if poses is None else poses.core
-    if shared is None and len(factors.effective) == 1:  # the rows have the rest of the information
-        factor = factors.slope * factors.effective[0] ** 2
-        scaled_covariance = known.covariance
-        held = prior.times(scaled_covariance)
-        by_priors = held.T @ held
-        scaled_covariance *= factor
-        by_priors *= 1.0 - factor
-        scaled_covariance += by_priors
+    core = prior_shares(known, prior)  # with a robust loss, J is times the root of the slope in T
+    if poses is not None:
+        core += poses.core
+    elif len(factors.effective) == 1:  # the rows have the rest of the information
+        core += factors.slope * factors.effective[0] ** 2 * (np.eye(len(core)) - core)
     else:
-        core = prior_shares(known, prior)  # with a robust loss, J is times the root of the slope in T
-        if shared is not None:
-            core += shared
-        for part in slices(len(span)) if shared is None else ():
+        for part in slices(len(span)):
             pulled, number = span[part], groups[part]
             for group, factor in enumerate(factors.effective):
                 own = pulled[number == group]
                 core += (factors.slope * factor) ** 2 * (own.T @ own)
-        scaled_covariance = known.covariance_from(core)
+    scaled_covariance = known.covariance_from(core)
     if by_sizes is not None:
         scaled_covariance = scaled_covariance + by_sizes
     covariance, std, share = _parameter_uncertainty(scaled_covariance, scales, prior.has)

@@ -55,9 +55,7 @@ SAVED = "fit.npz"
 _MEASUREMENTS = ("joints", "labels", "names", "path", "ignored", "comments", "context", "approach", "setups", "order",
                  "approach_assumed")  # fmt: skip
 _READINGS = ("visits", "pairs", "values", "covariance", "details", "labels")
-_ENDED = LeastSquaresSolution(
-    np.zeros(0), np.zeros(0), np.zeros((0, 0)), 0.0, converged=True, evaluations=0, message=""
-)
+_ENDED = LeastSquaresSolution(np.zeros(0), np.zeros(0), 0.0, converged=True, evaluations=0, message="")
 
 
 def saved_bytes(

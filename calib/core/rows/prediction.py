@@ -10,7 +10,7 @@ independent error of each joint at each pose, as large as residuals show (`calib
 
     covariance of x(q)  =  B C B^T + delta^2 K K^T,      K = d(position)/d(joints), scaled
 
-The part of these errors that residuals cannot tell from noise counts, too. The robot's repeatability is not included.
+The robot's repeatability is not included.
 
 Every uncertainty of positions comes from here (`ParameterUncertainty`): of `predict`, `compensate`, `solve`, `watch`,
 `study` and `verify`.

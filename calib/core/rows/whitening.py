@@ -54,15 +54,6 @@ class Whitening:
         self.groups = tuple(groups.values())
         self.is_unstated = np.array([not group.stated for group in self.groups], dtype=bool)
         self.layout = _layout(robot, data, self._names, numbers, widths, self.groups)
-        alike = not any(part.beam is not None for noise in noises.values() for part in noise.parts)
-        self._of_all = {name: data.readings[name] for name in self._names} if alike and _are_whole(data) else None
-
-    def applies_to(self, data: Measurements) -> bool:
-        """Whether the same whitening serves these readings: complete, at the same visits, with the same noise."""
-        known, readings = self._of_all, data.readings
-        if known is None or not _are_whole(data) or readings.keys() != known.keys():
-            return False
-        return all(np.array_equal(each.visits, readings[name].visits) for name, each in known.items())
 
     def flatten(self, arrays: Mapping[str, FloatArray], out: FloatArray | None = None) -> FloatArray:
         """Whiten arrays by instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
@@ -165,10 +156,6 @@ def stated_noise(instrument: Instrument, sigma: float | None) -> Noise:
         for part, noise in zip(instrument.parts, instrument.noise.parts, strict=True)
     ]
     return Noise(tuple(parts))
-
-
-def _are_whole(data: Measurements) -> bool:
-    return all(each.covariance is None and not np.isnan(each.values).any() for each in data.readings.values())
 
 
 def _absent(instrument: Instrument, readings: Readings) -> BoolArray:

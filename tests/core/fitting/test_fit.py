@@ -12,7 +12,7 @@ from calib.core.fitting.fit import WarmStart, minimum_of
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solved_fit import Convergence
-from calib.core.fitting.solving import convergence_at, place, reuse_placement, solve_from, uncertainty_at
+from calib.core.fitting.solving import convergence_at, place, solve_from, uncertainty_at
 from calib.core.fitting.terms.candidate_terms import missing_terms
 from calib.core.results.result_reading import load_result, read_content
 from calib.core.results.results import save
@@ -213,19 +213,6 @@ def test_a_fit_that_needs_no_ranks_of_held_parameters_differentiates_by_the_free
     np.testing.assert_allclose(ends[1].robot.values, ends[0].robot.values, rtol=0.0, atol=1e-9)
     widths = [next(iter(end.observed.values())).derivative.shape[2] for end in ends]
     assert widths[0] - widths[1] == np.count_nonzero(~some.is_free)
-
-
-def test_places_are_taken_over_from_a_robot_that_moves_alike_and_from_no_other(robot, data):
-    placed = place(Problem.from_data(robot, data))
-    known = placed.robot, placed.residuals
-    with_gains = Problem.from_data(robot.with_terms(missing_terms(robot, parse_terms("gain"))), data)
-    taken, found = reuse_placement(with_gains, *known), place(with_gains)
-    assert taken is not None
-    assert np.any(with_gains.unknowns.placement)
-    np.testing.assert_allclose(taken.robot.values, found.robot.values, rtol=0.0, atol=1e-9)
-    moved = robot.with_parameters({robot.parameters[0].name: robot.values[0] + 1e-6})
-    assert reuse_placement(Problem.from_data(moved, data), *known) is None  # a micrometre elsewhere
-    assert reuse_placement(Problem.from_data(robot, data.subset(np.arange(20))), *known) is None
 
 
 def test_a_fit_keeps_no_derivative_but_that_of_its_rows(arm):

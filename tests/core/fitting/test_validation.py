@@ -105,6 +105,15 @@ def test_folds_predict_each_pose_by_a_fit_that_did_not_see_it(arm):
     assert unused > used
 
 
+def test_the_error_of_a_fold_is_that_of_what_was_read(arm):
+    data = noisy(arm, joints(45), 4e-5, seed=1)
+    values = data.readings["ball"].values.copy()
+    values[3, 0] = np.nan
+    fit = calib.fit(arm, replace(data, readings={"ball": replace(data.readings["ball"], values=values)}), folds=3)
+    sizes, squares = map(len, deal(data, 3)), np.square(fit.folds.rms)
+    assert np.average(squares, weights=list(sizes)) == pytest.approx(fit.folds.errors.rms("after") ** 2)
+
+
 @pytest.mark.parametrize("folds", [1, -2, 46])
 def test_a_senseless_number_of_folds_is_an_error(arm, folds):
     with pytest.raises(calib.InputError, match=f"folds {folds}: must be 2 or more"):

@@ -11,7 +11,7 @@ import pytest
 import calib
 from calib.core.base.words import as_data
 from calib.core.data.measurements import with_points
-from calib.core.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _root_of_span, causes_of
+from calib.core.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _basis, causes_of
 from calib.core.judging.findings import joint_budget
 from calib.core.results.report_text import text_report
 from calib.core.results.result_content import to_dict
@@ -250,7 +250,7 @@ def test_columns_of_rounding_span_nothing():
     """Such as turns of a target, among the rows of where its point is: no direction may hang on their digits."""
     generator = np.random.default_rng(0)
     columns, rounding = generator.normal(size=(60, 4)), 1e-17 * generator.normal(size=(60, 3))
-    spanned, alone = (some @ _root_of_span(some) for some in (np.hstack([columns, rounding]), columns))
+    spanned, alone = (_basis(some) for some in (np.hstack([columns, rounding]), columns))
     np.testing.assert_allclose(spanned @ spanned.T, alone @ alone.T, atol=1e-12)
     assert spanned.shape == (60, 4)
-    assert [_root_of_span(np.zeros((60, k))).shape for k in (2, 0)] == [(2, 0), (0, 0)]
+    assert [_basis(np.zeros((60, k))).shape for k in (2, 0)] == [(60, 0), (60, 0)]

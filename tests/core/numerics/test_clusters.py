@@ -1,15 +1,15 @@
 """Errors that rows of one block share, against dense algebra, refits and many draws."""
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 from scipy.linalg import inv, sqrtm
 
-from calib.core.numerics.clusters import core_of_blocks, scatter, shifts_without_block
+from calib.core.numerics.clusters import scatter, shifts_without_block
 from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
+from calib.core.numerics.tall import Span
 
 N_FREE = 7
 
@@ -55,9 +55,8 @@ def test_core_and_ratio_are_those_of_dense_algebra(lengths, n_blocks):
     block[block >= n_blocks] = -1
     rows = block >= 0
     core, square, mean = by_dense_algebra(jacobian[rows], root, residuals[rows], block[rows])
-    spread = scatter(jacobian @ root, residuals, np.full(len(block), 0.5), block, 50.0, level=1.0)
+    spread = scatter(jacobian @ root, residuals, np.full(len(block), 0.5), block, 50.0)
     np.testing.assert_allclose(spread.core, core, rtol=1e-9, atol=1e-12)
-    assert scatter(jacobian @ root, residuals, np.full(len(block), 0.5), block, 50.0, level=0.0).core is None
     assert spread.ratio == pytest.approx(np.sqrt(square / mean) / 0.5, rel=1e-9)
 
 
@@ -74,8 +73,8 @@ def test_blocks_are_foretold_as_by_a_fit_of_all_others():
     np.testing.assert_allclose(
         residuals + shifts_without_block(span, block, residuals)[0], expected, rtol=1e-9, atol=1e-9
     )
-    moved, _ = shifts_without_block(span[:, :-2], block, residuals, further_columns=span[:, -2:])
-    np.testing.assert_allclose(residuals + moved, expected, rtol=1e-9, atol=1e-9)
+    wider = Span(jacobian, root[:, :-2]).with_columns(span[:, -2:])
+    np.testing.assert_allclose(residuals + shifts_without_block(wider, block, residuals)[0], expected, atol=1e-9)
 
 
 def test_rows_move_as_in_a_fit_without_their_block():
@@ -107,8 +106,7 @@ def draws(seed, lengths, shared, n=400):
         pulled = jacobian[:, has_prior] @ rng.standard_normal(int(has_prior.sum()))  # what priors say is true
         residuals, _ = fitted(jacobian, root, has_prior, errors + pulled)
         noise = np.full(len(block), np.sqrt(1.0 + shared**2))
-        core = core_of_blocks(jacobian @ root, residuals, noise, block)
-        results.append(replace(scatter(jacobian @ root, residuals, noise, block, 1e6), core=core))
+        results.append(scatter(jacobian @ root, residuals, noise, block, 1e6))
         solutions.append(root.T @ jacobian.T @ errors)
     return results, np.cov(np.array(solutions).T, bias=True)
 
@@ -142,8 +140,7 @@ def test_a_block_that_decides_all_by_itself_says_nothing_and_keeps_its_noise():
     spread = scatter(jacobian @ root, residuals, np.full(60, 0.5), block, 53.0)
     assert np.isnan(spread.ratio)
     assert spread.chance == 1.0
-    core = core_of_blocks(jacobian @ root, residuals, np.full(60, 0.5), block)
-    np.testing.assert_allclose(core, 0.25 * np.eye(N_FREE), atol=1e-9)
+    np.testing.assert_allclose(spread.core, 0.25 * np.eye(N_FREE), atol=1e-9)
 
 
 @pytest.mark.parametrize("length", [3, 30])

@@ -157,7 +157,6 @@ def test_a_balanced_one_way_layout_has_the_sizes_of_its_mean_squares(monkeypatch
     """Restricted likelihood: within = MSW, between^2 = (MSB - MSW) / n, where the prior of the size is flat."""
     none = np.zeros(2)  # a family and a noise
     monkeypatch.setattr("calib.core.numerics.size_search._prior", lambda at: (0.0, none, none))
-    monkeypatch.setattr("calib.core.numerics.size_search._CONVERGED", 1e-7)
     rows = one_way([6] * 12, np.random.default_rng(2), between=0.8, within=0.3)
     table = rows.values.reshape(12, 6)
     within = np.sum((table - table.mean(axis=1, keepdims=True)) ** 2) / (12 * 5)

@@ -100,8 +100,9 @@ def test_certified_values_and_standard_deviations_come_out_to_six_digits(strd, n
         )
     assert minimum.converged
     n = len(table)
-    known, one_group = information(minimum.jacobian), np.zeros(len(y), dtype=np.intp)
-    span = minimum.jacobian @ known.root
+    jacobian, one_group = np.stack(model(minimum.x, x)[1], axis=1), np.zeros(len(y), dtype=np.intp)
+    known = information(jacobian)
+    span = jacobian @ known.root
     factors = find_factors(minimum.residuals, span, one_group, 1)
     uncertainty = statistics(span, one_group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool)))
     np.testing.assert_allclose(minimum.x, table[:, 2], rtol=1e-6)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calib.core.base.errors import NotIdentifiableError
+from calib.core.fitting.estimates import Covariance
 from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
 from calib.core.numerics.statistics import Factors, chi_square, effective_parameters, find_factors, statistics, status
@@ -39,7 +40,8 @@ def test_a_straight_line_has_the_uncertainty_of_the_textbook():
     spread = np.sum((x - x.mean()) ** 2)
     assert result.std[1] == pytest.approx(sigma / np.sqrt(spread))
     assert result.std[0] == pytest.approx(sigma * np.sqrt(1 / 6 + x.mean() ** 2 / spread))
-    assert result.correlations()[0, 1] == pytest.approx(-x.mean() / np.sqrt(np.mean(x**2)))
+    correlation = Covariance(("a", "b"), result.covariance).correlation
+    assert correlation["a", "b"] == pytest.approx(-x.mean() / np.sqrt(np.mean(x**2)))
     assert result.freedom == pytest.approx(4)
     assert result.half_width[1] == pytest.approx(2.7764451 * result.std[1])  # Student's t, 4 degrees of freedom, 97.5 %
     assert result.effective_parameters == pytest.approx(2)
@@ -131,7 +133,7 @@ def test_small_singular_values_keep_their_digits():
 def test_zero_noise_gives_zero_uncertainty_and_no_error():
     result = statistics_of(RNG.normal(size=(6, 2)), 0.0, assumed=1e-3)
     np.testing.assert_array_equal(result.std, 0.0)
-    assert np.all(np.isnan(result.correlations()))
+    assert np.all(np.isnan(Covariance(("a", "b"), result.covariance).correlation))
 
 
 def test_groups_of_rows_have_noise_of_their_own():

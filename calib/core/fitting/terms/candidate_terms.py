@@ -31,14 +31,12 @@ class CandidateTerm:
     Attributes:
         term: Name of the kind.
         sections: Entries; none where it cannot be tried.
-        refusal: Why it cannot be tried; empty where it can.
-        reason_against: Why it must not be added without a request, though it can be tried; empty where it may.
+        refusal: Why it is not tried without a request; empty where it is.
     """
 
     term: str
     sections: tuple[TermSection, ...] = ()
     refusal: str = ""
-    reason_against: str = ""
 
     def terms_in(self, robot: Robot) -> tuple[JointTerm, ...]:
         """Return the terms of this kind in a robot."""
@@ -179,7 +177,7 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> CandidateTerm:
         if not sections:
             return CandidateTerm(name, refusal="gravity loads no joint differently from pose to pose")
     doubtful = Condition.APPROACH in kind.depends_on and not data.states_approach
-    return CandidateTerm(name, sections, reason_against=_NO_DIRECTION if doubtful else "")
+    return CandidateTerm(name, sections, refusal=_NO_DIRECTION if doubtful else "")
 
 
 def why_term_unknown(kind: type[JointTerm], data: Measurements) -> str:

@@ -2,7 +2,7 @@
 
 Near a fit, the rows are linear in its free parameters, and in the coefficients of joint terms that the fit lacks. The
 coefficients of one kind of term are a family; where joints differ (`JointTerm.differs`), each joint has its own family.
-Each joint also has an error that differs from pose to pose, which stands for errors of no kind.
+Each joint also has an independent error at each pose, which stands for errors of no kind.
 
 Uncertainty of the sizes. Each possible set of sizes gives coefficients u with a covariance C. Their total covariance,
 mean of C + mean of (u - u_fit)(u - u_fit)^T, less the C of the fit, is added to the covariance of the fit.

@@ -1,10 +1,8 @@
 """Sizes of all kinds of joint errors, in one model, instead of a choice of kinds.
 
-Around the fit of the origins, the rows are linear in the coefficients of all kinds of terms that the measurements can
-show (`calib.core.fitting.terms.candidate_terms`). Each kind is a family of the mixed model
-(`calib.core.numerics.mixed_model`), or one for each joint where joints differ (`JointTerm.differs`): its coefficients
-are normal with a size that is found by restricted likelihood, together with the noise and with an independent error of
-each joint at each pose, which stands for errors of no kind.
+The model is that of `calib.core.fitting.terms.kind_model` around the fit of the origins, with all kinds of terms that
+the measurements can show (`calib.core.fitting.terms.candidate_terms`). Sizes are found by restricted likelihood,
+together with the noise.
 
 Which kinds are fitted. From the model of all, kinds are left out one by one, those with most coefficients first, until
 all stay. A kind stays where both are true:
@@ -22,11 +20,9 @@ higher with it by a factor of 20, given all other kinds. Of kinds that look alik
 Results:
 
     terms        kinds that stay are fitted like any term, with the sigma that was found
-    undecided    the other kinds may exist, too, and sizes are uncertain. With coefficients u and covariance C for
-                 drawn sizes of all kinds that the rows leave open, cov u = mean of C + covariance of u: its excess
-                 over C of the fitted sizes is added to the covariance of the fit. Sizes of fitted curves are not
-                 drawn: the fit finds them again, and counts their uncertainty
-                 (`calib.core.numerics.size_search`)
+    undecided    the other kinds may exist, too, and sizes are uncertain: what drawn sizes of all kinds that the rows
+                 leave open add is added to the covariance of the fit. Sizes of fitted curves are not drawn: the fit
+                 finds them again, and counts their uncertainty (`calib.core.numerics.size_search`)
 
 Measured on real robots (`docs/theory/joint_terms.md`): weighting the fit itself by the error of joints was no better on
 one tracked arm and much worse where a camera reads several points of a pose, whose noise has another shape. Time and
@@ -99,11 +95,9 @@ def size_terms(fit: Fit) -> TermChoice:
     if fit.computed:
         why = "nothing is left to explain: these data were computed, not measured"
         return TermChoice("auto", described, tuple(TermTrial(candidate.term, refusal=why) for candidate in kinds))
-    requested = tuple(candidate for candidate in kinds if not (candidate.refusal or candidate.reason_against))
+    requested = tuple(candidate for candidate in kinds if not candidate.refusal)
     model = _TermModel(fit, requested)
-    tried = [
-        model.outcome(c) if c in requested else TermTrial(c.term, refusal=c.refusal or c.reason_against) for c in kinds
-    ]
+    tried = [TermTrial(kind.term, refusal=kind.refusal) if kind.refusal else model.outcome(kind) for kind in kinds]
     sections = (*described, *(section for candidate in requested for section in model.entries(candidate)))
     tried.sort(key=lambda term: not term.added)
     return TermChoice("auto", sections, tuple(tried), model.undecided(sections))
@@ -127,14 +121,13 @@ class _TermModel:
         """Block of each row of the model by the module docstring, (n_rows,)."""
         data, depths = self._fit.identification.data, self._fit.robot.mechanism.depths
         setups = np.zeros(len(data), dtype=np.intp) if data.setups is None else data.setups
-        layout, block, start = self._fit.whitening.layout, np.zeros(len(data), dtype=np.intp), 0
+        layout, block = self._fit.whitening.layout, np.zeros(len(data), dtype=np.intp)
         visits = layout.visit[layout.reading[self._kind_model.informative_rows]]
         each = np.unique(setups[visits])
         for setup in each:
             there = np.flatnonzero(setups == setup)
-            parts = boxes(data.joints[there], data.pose_numbers[there], -(-BLOCKS // len(each)), depths)
-            for part in parts:
-                block[there[part]], start = start, start + 1
+            own = boxes(data.joints[there], data.pose_numbers[there], -(-BLOCKS // len(each)), depths)
+            block[there] = np.max(block) + 1 + own
         return np.unique(block[visits], return_inverse=True)[1]
 
     def _solve_with_kinds(self, kinds: frozenset[str]) -> SolvedModel:
@@ -145,35 +138,27 @@ class _TermModel:
             solved = likeliest_sizes(
                 full.model, np.where(np.isneginf(near), full.logs, near), self._absent(kinds), _ROUGH
             )
-            self._solved[kinds] = _without_cache(solved)
+            self._solved[kinds] = replace(solved)  # without the cached matrices, which take memory
         return self._solved[kinds]
 
     def _absent(self, kinds: frozenset[str]) -> BoolArray:
         """Mask of the families of all other requested kinds, (n_families,)."""
         return ~np.isin(self._terms, list(kinds))
 
-    def _most_evidence(self, kind: str, kinds: frozenset[str]) -> float:
-        """Upper bound of a kind's gain of log likelihood, from the sets solved so far: more kinds fit better."""
-        fewer, more = kinds - {kind}, kinds | {kind}
-        worst = min((at.cost for known, at in self._solved.items() if known <= fewer), default=np.inf)
-        return worst - min((at.cost for known, at in self._solved.items() if known >= more), default=-np.inf)
-
     def _squares(self, kinds: frozenset[str]) -> FloatArray:
         """Squared errors of left-out blocks, divided by those of the model without terms, (n_blocks,)."""
         if kinds not in self._left_out:
             sums = self._solve_with_kinds(frozenset()).squares_and_freedom[0]
             counts = np.bincount(self._rows.group, minlength=len(sums))
-            at = _without_cache(self._solve_with_kinds(kinds))
+            at = replace(self._solve_with_kinds(kinds))  # whose cached matrices are not kept
             self._left_out[kinds] = at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
         return self._left_out[kinds]
 
     def _earns(self, kind: str, kinds: frozenset[str]) -> bool:
         """Whether a kind stays among these kinds, by the two conditions of the module docstring."""
-        needed = TELLS + float(np.log(len(self._requested_kinds)))
-        if self._most_evidence(kind, kinds) <= needed:
-            return False
         more, fewer = kinds | {kind}, kinds - {kind}
-        if self._solve_with_kinds(fewer).cost - self._solve_with_kinds(more).cost <= needed:
+        evidence = self._solve_with_kinds(fewer).cost - self._solve_with_kinds(more).cost
+        if evidence <= TELLS + np.log(len(self._requested_kinds)):
             return False
         gains = self._squares(fewer) - self._squares(more)
         return float(np.sum(gains)) > np.sqrt(len(gains)) * float(np.std(gains, ddof=1))
@@ -193,19 +178,15 @@ class _TermModel:
             kinds |= {min(more, key=lambda kind: self._solve_with_kinds(kinds | {kind}).cost)} if more else kinds
         return likeliest_sizes(self._solved_model.model, self._solve_with_kinds(kinds).logs, self._absent(kinds))
 
-    def _is_shown(self, k: int) -> bool:
-        """Whether rows show a family of the chosen model: its log likelihood is higher with it."""
-        chosen, n = self._chosen_model, len(self._families)
-        least = chosen.logs[:n] <= self._smallest_logs[:n]
-        if least[k]:
-            return False
-        without = likeliest_sizes(chosen.model, chosen.logs, least | (np.arange(n) == k))
-        return without.cost - chosen.cost > _SHOWS
-
     @cached_property
     def _is_fitted(self) -> BoolArray:
-        large = np.exp(self._chosen_model.logs[: len(self._families)]) > _SMALL
-        return np.array([some or self._is_shown(k) for k, some in enumerate(large)], dtype=bool)
+        """Whether each family of the chosen model is large, or the log likelihood is higher with it, (n_families,)."""
+        chosen, n = self._chosen_model, len(self._families)
+        fitted, least = np.exp(chosen.logs[:n]) > _SMALL, chosen.logs[:n] <= self._smallest_logs[:n]
+        for k in np.flatnonzero(~(fitted | least)):
+            without = likeliest_sizes(chosen.model, chosen.logs, least | (np.arange(n) == k))
+            fitted[k] = without.cost - chosen.cost > _SHOWS
+        return fitted
 
     def _members(self, kinds: Collection[str]) -> IntArray:
         """Numbers of the families of some kinds."""
@@ -254,8 +235,3 @@ class _TermModel:
         draws = np.where(fitted & sized, logs, self._draws)  # a fit finds the sizes of curves again
         model, robot = MixedModel.from_rows(self._rows, _SHORTEST), self._fit.robot.with_terms(fitted_terms)
         return self._kind_model.undecided(model, logs, draws, robot)
-
-
-def _without_cache(at: SolvedModel) -> SolvedModel:
-    """Copy without the cached matrices, which take memory."""
-    return replace(at)

@@ -32,7 +32,7 @@ def rank_content(fit: Fit) -> dict[str, object]:
 
 def correlated_pairs(fit: Fit) -> list[dict[str, object]]:
     """Return pairs of free parameters whose estimates are correlated, strongest first."""
-    correlations = fit.statistics.correlations()
+    correlations = fit.correlation.values
     names = fit.free_names
     with np.errstate(invalid="ignore"):
         pairs = np.argwhere(np.triu(np.abs(correlations) >= CORRELATED, k=1))

@@ -29,7 +29,7 @@ def terms_table(fit: Fit) -> dict[str, object]:
 
 def _curve_as_data(curve: JointCurve) -> dict[str, object]:
     unit, of_errors = DISPLAY_UNIT[curve.dimension], ERROR_UNIT[curve.dimension]
-    low, high = (in_unit(float(curve.command[k]), unit) for k in (0, -1))
+    low, high = (in_unit(end, unit) for end in (curve.low, curve.high))
     errors = {key: in_unit(getattr(curve, key), of_errors) for key in ("rms", "rms_std")}
     return {"joint": curve.joint, "unit": unit, "low": low, "high": high, "error_unit": of_errors, **errors}
 
@@ -95,7 +95,7 @@ def curve_lines(fit: Fit) -> list[str]:
             quantity_text(curve.rms, ERROR_UNIT[curve.dimension]),
             quantity_text(curve.rms_std, ERROR_UNIT[curve.dimension], ".2g"),
         )
-        low, high = (quantity_text(float(curve.command[k]), DISPLAY_UNIT[curve.dimension], ".4g") for k in (0, -1))
+        low, high = (quantity_text(end, DISPLAY_UNIT[curve.dimension], ".4g") for end in (curve.low, curve.high))
         lines.append(
             f"Error curve of {curve.joint}: {rms} RMS, known to {known}; it holds from {low.partition(' ')[0]} to"
             f" {high}, where it was measured"

@@ -146,6 +146,10 @@ class Steps:
         """Count further steps among those to do."""
         self._total += count
 
+    def restart(self, count: int) -> None:
+        """Expect `count` steps from here on, in place of those that were expected."""
+        self._total = self._done + count
+
     def advance(self, *_: int) -> None:
         """Count one more step as done; may be given as the `Progress` of a part of the call."""
         self._done += 1

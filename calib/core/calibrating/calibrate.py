@@ -2,7 +2,8 @@
 
 Order of work: (1) joint terms, if requested, as large as readings show (`calib.core.fitting.terms.term_sizes`); a
 section of the description, such as that on a fleet, is left out where the readings contradict it; (2) the fit
-(`calib.core.fitting.fit`), already done in step 1 where no term was added; (3) if requested, outliers left out and all
+(`calib.core.fitting.fit`), already done in step 1 where no term was added, and without terms where the readings are too
+few for those of `--terms auto`; (3) if requested, outliers left out and all
 done again; (4) poses left out in turn for cross-validation, if requested, or where noise is so far above its statement
 that nothing else can prove the result.
 
@@ -23,7 +24,13 @@ from functools import partial
 
 import numpy as np
 
-from calib.core.base.errors import CalibrationError, ComputationError, InputError, UnreachablePoseError
+from calib.core.base.errors import (
+    CalibrationError,
+    ComputationError,
+    InputError,
+    NotIdentifiableError,
+    UnreachablePoseError,
+)
 from calib.core.base.registry import list_entry_points
 from calib.core.base.threads import one_blas_thread
 from calib.core.base.workers import Progress, Steps, Workers
@@ -89,22 +96,22 @@ def _run_steps(
     workers: Executor | None,
     steps: Steps,
 ) -> Fit:
-    of_each = _OF_ONE_FIT + settings.starts - 1
-    steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
+    n_steps = _OF_ONE_FIT + settings.starts - 1 + n_folds(data, settings.folds)
+    n_steps += (_OF_ONE_FIT + 1) * (settings.terms == "auto")
+    steps.expect(n_steps)
+    fit_once = partial(_fit_with_terms, robot, data, validation, settings, workers, steps)
     try:
-        robot, choice, minimum = _with_terms(robot, data, validation, settings, steps)
-        for entry in list_entry_points("calib.contradicted"):  # loaded only for a robot that has such a section
-            if (section := getattr(robot.description, entry.name)) is not None:
-                robot = entry.load()(robot, data, settings, section)
-        if minimum is None or minimum.robot is not robot or settings.starts > 1 or unseen(robot, data, validation):
-            minimum = minimum_of(robot, settings, data, validation, workers, steps)
-        else:  # the fit without further terms is the minimum
-            steps.advance()
-            steps.advance()
-        fit = fit_at(minimum, settings, validation, steps)
+        try:
+            fit = fit_once()
+        except NotIdentifiableError:
+            if settings.terms != "auto":
+                raise
+            steps.restart(n_steps)
+            fit = fit_once(adds_terms=False)
     except (UnreachablePoseError, ComputationError) as error:
         mistake = likely_mistake(robot, data) or zeros_in_words(data, robot)
         raise type(error)(f"{error}{'; ' if mistake else ''}{mistake}") from None
+    robot, choice = fit.nominal, fit.terms
     plain = replace(settings, starts=1)
     if settings.exclude_outliers:
 
@@ -129,8 +136,36 @@ def _run_steps(
     return replace(fit, terms=choice)
 
 
+def _fit_with_terms(
+    robot: Robot,
+    data: Measurements,
+    validation: Measurements | None,
+    settings: Settings,
+    workers: Executor | None,
+    steps: Steps,
+    *,
+    adds_terms: bool = True,
+) -> Fit:
+    """The fit with the requested joint terms; with `auto`, `adds_terms` says whether any may be added."""
+    robot, choice, minimum = _with_terms(robot, data, validation, settings, steps, adds_terms)
+    for entry in list_entry_points("calib.contradicted"):  # loaded only for a robot that has such a section
+        if (section := getattr(robot.description, entry.name)) is not None:
+            robot = entry.load()(robot, data, settings, section)
+    if minimum is None or minimum.robot is not robot or settings.starts > 1 or unseen(robot, data, validation):
+        minimum = minimum_of(robot, settings, data, validation, workers, steps)
+    else:  # the fit without further terms is the minimum
+        steps.advance()
+        steps.advance()
+    return replace(fit_at(minimum, settings, validation, steps), terms=choice)
+
+
 def _with_terms(
-    robot: Robot, data: Measurements, validation: Measurements | None, settings: Settings, steps: Steps
+    robot: Robot,
+    data: Measurements,
+    validation: Measurements | None,
+    settings: Settings,
+    steps: Steps,
+    adds_terms: bool,
 ) -> tuple[Robot, TermChoice | None, Minimum | None]:
     """The robot with the requested joint terms; and its minimum, if it is known."""
     described, terms = robot.description.terms, settings.terms
@@ -141,7 +176,7 @@ def _with_terms(
     elif terms == "auto":
         first = replace(settings, starts=1)
         minimum = minimum_of(robot, first, data, validation, steps=steps)
-        choice = size_terms(fit_at(minimum, first, steps=steps))
+        choice = size_terms(fit_at(minimum, first, steps=steps), adds_terms=adds_terms)
         steps.advance()
         if choice.sections == described:
             return robot, choice, minimum

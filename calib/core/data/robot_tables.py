@@ -37,7 +37,8 @@ def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | N
     if len(table.names) == 1 and table.names[0] not in robot.joint_names and len(table.rows[0][0].split()) > 1:
         raise DataError(f"{table.path}: blanks separate the columns; write commas, semicolons or tabs between them")
     _check_units(robot, table)
-    guessed = _joints(robot, table) | _positions(robot, table)
+    joints = _joints(robot, table)
+    guessed = joints | _positions(robot, table, {*joints, *robot.joint_names})
     spread = _deviation_columns(robot, table, guessed)
     guessed |= spread
     if not guessed:
@@ -127,14 +128,14 @@ def _joints(robot: Robot, table: Table) -> dict[str, str]:
     return {name: joints[order.index(number)] for name, number in numbers.items()}
 
 
-def _positions(robot: Robot, table: Table) -> dict[str, str]:
-    """Columns X, Y, Z, and the coordinates that they stand for; none where their meaning is unclear."""
+def _positions(robot: Robot, table: Table, joints: set[str]) -> dict[str, str]:
+    """Columns X, Y, Z, unless joints, and the coordinates that they stand for; none where their meaning is unclear."""
     reading = [instrument for instrument in robot.instruments if instrument.reads_positions]
-    units = dict(zip(table.names, table.units, strict=True))
-    axes = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}
+    units = {name: unit for name, unit in zip(table.names, table.units, strict=True) if name not in joints}
+    axes = {name: _plain(name) for name in units if _plain(name) in _AXES and units[name]}
     columns = [column.name for column in reading[0].columns()] if len(reading) == 1 else []
     if not axes:  # else take the axes of a single named body
-        named = {match[1] for name in table.names if units[name] and (match := _NAMED.fullmatch(name))}
+        named = {match[1] for name in units if units[name] and (match := _NAMED.fullmatch(name))}
         whole = [name for name in named if all(f"{name}_{axis}" in units for axis in _AXES)]
         axes = {f"{whole[0]}_{axis}": axis for axis in _AXES} if len(whole) == 1 else {}
     if sorted(axes.values()) != list(_AXES) or not columns or set(columns) & set(table.names):

@@ -119,6 +119,15 @@ def repeatability(errors: ErrorSet) -> tuple[float, int]:
     return float(np.sqrt(squares / freedom)), freedom
 
 
+def scatter_within_poses(errors: ErrorSet) -> float:
+    """Return the root mean square distance of a pose's readings from their mean [m], 0 where poses were read once."""
+    squares = [
+        np.sum((scatter.after - scatter.after.mean(axis=0)) ** 2) / len(scatter.after)
+        for scatter in _pose_scatters(errors)
+    ]
+    return float(np.sqrt(np.sum(squares) / errors.data.n_poses))
+
+
 def doubtful_repeats(errors: ErrorSet) -> str:
     """Return what repeats may show in place of repeatability, in words; empty if the robot surely left each pose."""
     several = _pose_scatters(errors)

@@ -154,8 +154,12 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
 @memoize
 def _residuals_of_scales(fit: Fit) -> tuple[FloatArray, int]:
     setting = findings.setting(fit)
-    others = [gains(setting), *(columns for _, _, columns in constants(setting))]
-    return _remaining_residuals(fit, np.hstack([scales(setting), *own_scales(setting).values(), *others]))
+    lengths, others = scales(setting), [gains(setting), *(columns for _, _, columns in constants(setting))]
+    predicted = lengths[:, :1] - np.where(lengths[:, :1] != 0.0, findings.linear(fit).rows.residuals[:, None], 0.0)
+    columns = np.hstack([predicted, lengths, *own_scales(setting).values(), *others])
+    left, n_measured = _remaining_residuals(fit, columns)
+    left[:, 1] *= np.any(left[:, 0])  # if parameters explain the scale of what is predicted, noise is left of that read
+    return left[:, 1:], n_measured
 
 
 def _scale_sentence(part: float, *, angles: bool) -> str:

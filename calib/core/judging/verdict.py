@@ -31,6 +31,7 @@ from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import likely_mistake
 from calib.core.fitting.outliers import Outlier
+from calib.core.fitting.unseen_errors import leave_one_out_errors
 from calib.core.judging import (
     findings,
     rules_data,
@@ -39,11 +40,11 @@ from calib.core.judging import (
     rules_parameters,
     rules_reach,
 )
-from calib.core.judging.claim import Benefit, ErrorElsewhere, claim_of
+from calib.core.judging.claim import MORE, Benefit, ErrorElsewhere, claim_of
 from calib.core.judging.effect_kinds import Pattern, Trait
 from calib.core.judging.error_budget import ENOUGH_REPEATS, ErrorBudget
 from calib.core.judging.reasons import Code, Reason, Verdict
-from calib.core.judging.repeatability import repeatability
+from calib.core.judging.repeatability import repeatability, scatter_within_poses
 from calib.core.judging.row_derivatives import has_time, scales
 from calib.core.robots.terms.term import Context
 from calib.core.rows.frames import KnownRobot
@@ -189,7 +190,8 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
     order = () if seen_in_order else unordered(fit.identification.data)  # such a pattern says that rows are in order
     n_sample, n_poses = (each.identification.data.n_poses for each in (findings.sample_of_poses(fit), fit))
     fewer = f"a pattern that only more poses show: patterns and causes were judged on {n_sample} of {n_poses} poses"
-    return (*[fewer] * (n_sample < n_poses), *_scale(fit), *_whose_noise(fit), *order, *rules_reach.terms_beyond(fit))
+    lines = (*_scale(fit), *_whose_noise(fit), *_single_visits(fit), *order, *rules_reach.terms_beyond(fit))
+    return (*[fewer] * (n_sample < n_poses), *lines)
 
 
 def _scale(fit: Fit) -> Iterator[str]:
@@ -219,6 +221,19 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
             "scatter of the robot (play, changing loads): it looks like the instrument's noise, which was not stated"
             f" (--sigma-mm). If the robot makes all of this scatter, single positions are known to {single:.2g} mm RMS"
         )
+
+
+def _single_visits(fit: Fit) -> Iterator[str]:
+    """Line on the error of single visits, where that of the mean of a pose's visits, which is claimed, is smaller."""
+    predicted = leave_one_out_errors(fit)
+    if predicted is not None and predicted.main_part.is_position:
+        claimed = predicted.rms("after")
+        single = float(np.hypot(claimed, scatter_within_poses(fit.identification)))
+        if single > MORE * claimed:
+            yield (
+                "scatter of repeats: the claim is about the mean of a pose's repeats. A single one is off by"
+                f" {millimetres(single):.4f} mm RMS"
+            )
 
 
 def unordered(poses: Poses) -> tuple[str, ...]:

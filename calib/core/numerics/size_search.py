@@ -22,7 +22,7 @@ information of the logarithms and g the gradient of -log L,
 
 the first term for a size that rows show, the second for a size that they exclude (there, g / s^2 is the slope by
 s^2 / 2, which stays finite), the third for the prior. Noise and d have no prior. In its place, a third term comes from
-the value that would explain all residuals, which neither exceeds.
+the value that would explain all that the likeliest model leaves.
 
 Noise alone. Scales of groups of rows are sizes without families. Without priors, their search begins with what the
 columns leave of the rows of each group, unweighted: for one group this is the answer. With priors, which may explain
@@ -295,7 +295,9 @@ def information_by_size(at: SolvedModel) -> FloatArray:
     information = at.information / np.outer(sizes, sizes)
     more = np.maximum(at.gradient, 0.0) / sizes**2
     more[:n] += 2.0 / (1.0 + sizes[:n] ** 2) ** 2
-    more[n:] += np.exp(-2.0 * _Bounds.from_model(at.model).most[n:])
+    squares, freedom = at.squares_and_freedom
+    largest = (squares / np.maximum(freedom, _LEAST_FREEDOM))[at.model.unstated_groups]
+    more[n:] += 1.0 / np.maximum(np.append(largest, [at.scatter_of_residuals**2] * at.model.scatters), _NOTHING)
     return information + np.diag(more)
 
 

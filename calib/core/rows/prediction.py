@@ -88,7 +88,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
             following = "measure some of these poses and compare: calib.verify(fit, data)"
         return (
             f"{count_noun(n_poses, 'predicted pose')} of {count_noun(n_targets, 'target')}, {sentence}\n"
-            f"Inside: positions {self.positions.shape} [m], std and covariance of each, distance95: how far off [m]\n"
+            f"Inside: positions {self.positions.shape} [m], std and covariance of each, distance95: two limits [m]\n"
             f"Next: {following}"
         )
 

@@ -109,3 +109,19 @@ def test_blanks_between_columns_are_named(robot, tmp_path):
     (tmp_path / "blanks.txt").write_text("J1 J2 J3 J4 J5 J6 X Y Z\n1.0 2.0 3.0 4.0 5.0 6.0 7.0 8.0 9.0\n")
     with pytest.raises(calib.DataError, match="blanks separate the columns; write commas, semicolons or tabs"):
         calib.read_measurements(tmp_path / "blanks.txt", robot)
+
+
+@pytest.mark.parametrize("names", ["XYZ", "xyz", ["axis_x", "axis_y", "axis_z"]])
+def test_columns_of_joints_that_are_called_like_axes_are_no_positions(tmp_path, names):
+    links = "".join(f'<link name="l{k}"/>' for k in range(4))
+    joints = "".join(
+        f'<joint name="{name}" type="prismatic"><parent link="l{k}"/><child link="l{k + 1}"/>'
+        f'<axis xyz="{" ".join(str(int(k == a)) for a in range(3))}"/>'
+        '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
+        for k, name in enumerate(names)
+    )
+    (tmp_path / "machine.urdf").write_text(f'<robot name="machine">{links}{joints}</robot>')
+    robot = calib.robot(tmp_path / "machine.urdf", target="l3")
+    for headers in (names, [name.upper() for name in names]):
+        poses = calib.read_poses({f"{header} [mm]": [100.0 * k] for k, header in enumerate(headers)}, robot)
+        np.testing.assert_allclose(poses.joints, [[0.0, 0.1, 0.2]])

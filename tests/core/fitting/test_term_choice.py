@@ -372,6 +372,19 @@ def test_too_few_poses_for_blocks_are_refused(robot):
         calib.fit(robot, data.subset(np.arange(15)), terms="auto")
 
 
+def test_terms_that_leave_no_freedom_are_not_added():
+    """Harmonics and couplings beside the origins explain all of 54 coordinates."""
+    robot, told = example_arm(None), []
+    true, data, elsewhere = simulated(robot, ("curve",), np.random.default_rng(2), n=18)
+    fit = calib.fit(robot, data, terms="auto", progress=lambda *steps: told.append(steps))
+    assert fit.robot.terms == ()
+    assert {trial.term for trial in fit.terms.trials if trial.lacks_measurements} == {"harmonics", "coupling"}
+    assert "none, because these measurements are too few to fit" in fit.report()
+    assert told[-1][0] == told[-1][1]
+    assert np.mean(position_errors(fit, true, elsewhere)[1]) > 0.9
+    np.testing.assert_array_equal(fit.robot.values, calib.fit(robot, data, terms="none").robot.values)
+
+
 def test_data_without_noise_ask_for_no_terms(robot):
     q = np.random.default_rng(16).uniform(-1, 1, (40, 6))
     fit = calib.fit(robot, calib.as_measurements(robot, q, robot.positions(q)), terms="auto")

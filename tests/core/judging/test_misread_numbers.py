@@ -294,3 +294,21 @@ def test_readings_of_a_robot_of_another_size_change_as_said(tmp_path, entry):
         expected = (more[name].residuals - less[name].residuals) / (2 * step)
         assert np.any(expected)
         np.testing.assert_allclose(columns, expected, atol=1e-7 * np.abs(expected).max())
+
+
+def test_lengths_of_a_turntable_are_not_doubted(tmp_path):
+    """The place of the reflector is hardly known, so any radius will do, and noise is all that could show a scale."""
+    joint = '<joint name="turn" type="revolute"><parent link="base"/><child link="plate"/><axis xyz="0 0 1"/>'
+    limit = '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+    urdf = f'<robot name="table"><link name="base"/><link name="plate"/>{joint}{limit}</robot>'
+    (tmp_path / "table.urdf").write_text(urdf)
+    places = "base: {frame: base, pose: unknown}\ntargets: {ball: {frame: plate, position: unknown, sigma: 50 mm}}\n"
+    origins = "parametrisation: [{origin: all, components: [x, y, z], sigma: 1 mm}]\n"
+    (tmp_path / "table.yaml").write_text(f"urdf: table.urdf\nname_mot: [turn]\n{places}{origins}")
+    robot, rng = calib.load(tmp_path / "table.yaml"), np.random.default_rng(0)
+    q = rng.uniform(-2.7, 2.7, (60, 1))
+    turning = np.column_stack([np.cos(q[:, 0]), np.sin(q[:, 0]), np.zeros(60)])
+    points = np.array([2.0, -1.0, 0.9]) + 0.036 * turning + 3e-5 * rng.standard_normal((60, 3))
+    verdict = calib.fit(robot, calib.as_measurements(robot, q, points)).verdict
+    assert not any("lengths are" in reason.text for reason in verdict.reasons)
+    assert verdict.grade != "FAIL"

@@ -1,5 +1,7 @@
 """Repeats of a pose: accuracy and repeatability by hand, about what the model predicts for each reading's joints."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -119,3 +121,16 @@ def test_repeats_whose_encoders_differ_scatter_about_what_the_model_predicts(tmp
     # mean(l) + 3 std(l) of six readings: between 2 and 4.5 sigma for normal scatter
     assert to_dict(fit)["repeats"]["pose_repeatability"]["mean"] < 4.5e3 * scatter
     assert "repeatability" not in [reason.code for reason in fit.verdict.reasons]
+
+
+def test_the_error_of_single_visits_is_told_beside_that_of_the_mean_of_repeats(truth):
+    """The tool scatters by 0.1 mm along each axis from visit to visit; ten visits are read by an exact instrument."""
+    generator, q = np.random.default_rng(6), np.repeat(joints(60), 10, axis=0)
+    points = truth.positions(q)[:, 0] + generator.normal(0, 1e-4, (600, 3))
+    fit = calib.fit(truth, calib.as_measurements(truth, q, points, np.repeat(np.arange(60), 10)))
+    assert fit.verdict.claim.at_measured_poses.rms < 0.5e-4 * np.sqrt(3)
+    (told,) = (line for line in fit.verdict.not_covered if line.startswith("scatter of repeats"))
+    single = float(re.search(r"off by ([\d.]+) mm RMS", told)[1])
+    assert single == pytest.approx(0.1 * np.sqrt(3), rel=0.1)
+    once = calib.fit(truth, calib.as_measurements(truth, q[::10], points[::10]))
+    assert not any(line.startswith("scatter of repeats") for line in once.verdict.not_covered)

@@ -333,6 +333,17 @@ def test_intervals_hold_over_sizes_that_are_drawn():
     assert 0.92 < np.mean(held) < 0.975
 
 
+def test_noise_that_looks_like_scatter_is_drawn_no_larger_than_residuals():
+    """Three joints that slide along the axes of the readings; columns with priors leave a fiftieth of the values."""
+    rng = np.random.default_rng(13)
+    columns = rng.normal(size=(90, 5))
+    values = 50.0 * columns @ rng.normal(size=5) + rng.standard_normal(90)
+    each = np.repeat(np.arange(30), 3)
+    rows = of_one_group(100.0 * columns, values, [KNOWN] * 5, pose=each, levers=np.tile(np.eye(3), (30, 1)))
+    drawn = np.exp(draw_sizes(likeliest_sizes(MixedModel.from_rows(rows)), 200, np.random.default_rng(0)))
+    assert np.quantile(np.sqrt(np.sum(drawn**2, axis=1)), 0.9) < 2.5
+
+
 def test_the_information_about_a_size_of_zero_is_finite():
     rows = one_way([5] * 8, np.random.default_rng(7), between=0.0, within=1.0)
     known = information_by_size(likeliest_sizes(MixedModel.from_rows(rows)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -88,6 +89,11 @@ class TermTrial:
     def proven(self) -> bool:
         """Whether the term is significant."""
         return self.added and self.evidence >= TELLS
+
+    @property
+    def lacks_measurements(self) -> bool:
+        """Whether the measurements show the term, but are too few to fit it."""
+        return bool(self.refusal) and math.isfinite(self.size)
 
 
 @dataclass(frozen=True)

@@ -71,6 +71,7 @@ _ROUGH = 0.05  # error of the log likelihood of kinds that are compared
 _DRAWS = 24
 _SHORTEST = 0.3  # a component of usual size is dropped if its length is below this part of the fit's noise
 _LIMITS = (0.025, 0.975)
+_TOO_FEW = "these measurements are too few to fit it; measure more poses"
 
 
 def has_poses_for_terms(data: Measurements) -> bool:
@@ -79,8 +80,11 @@ def has_poses_for_terms(data: Measurements) -> bool:
 
 
 @one_blas_thread
-def size_terms(fit: Fit) -> TermChoice:
+def size_terms(fit: Fit, *, adds_terms: bool = True) -> TermChoice:
     """Return the terms of the joints' errors with the sizes that measurements show.
+
+    Args:
+        adds_terms: Whether terms may be fitted; if not, those that would be are undecided.
 
     Raises:
         DataError: Too few poses.
@@ -96,7 +100,7 @@ def size_terms(fit: Fit) -> TermChoice:
         why = "nothing is left to explain: these data were computed, not measured"
         return TermChoice("auto", described, tuple(TermTrial(candidate.term, refusal=why) for candidate in kinds))
     requested = tuple(candidate for candidate in kinds if not candidate.refusal)
-    model = _TermModel(fit, requested)
+    model = _TermModel(fit, requested, adds_terms)
     tried = [TermTrial(kind.term, refusal=kind.refusal) if kind.refusal else model.outcome(kind) for kind in kinds]
     sections = (*described, *(section for candidate in requested for section in model.entries(candidate)))
     tried.sort(key=lambda term: not term.added)
@@ -104,8 +108,9 @@ def size_terms(fit: Fit) -> TermChoice:
 
 
 class _TermModel:
-    def __init__(self, fit: Fit, kinds: Sequence[CandidateTerm]) -> None:
+    def __init__(self, fit: Fit, kinds: Sequence[CandidateTerm], adds_terms: bool) -> None:
         self._fit, self._kinds, self._kind_model = fit, kinds, KindModel(fit, kinds)
+        self._adds_terms = adds_terms
         self._families, read = self._kind_model.families, self._kind_model.informative_rows
         self._terms = np.array([family.term for family in self._families], dtype=np.str_)  # of each family
         self._requested_kinds = frozenset(map(str, self._terms))
@@ -180,6 +185,10 @@ class _TermModel:
 
     @cached_property
     def _is_fitted(self) -> BoolArray:
+        return self._is_large & self._adds_terms
+
+    @cached_property
+    def _is_large(self) -> BoolArray:
         """Whether each family of the chosen model is large, or the log likelihood is higher with it, (n_families,)."""
         chosen, n = self._chosen_model, len(self._families)
         fitted, least = np.exp(chosen.logs[:n]) > _SMALL, chosen.logs[:n] <= self._smallest_logs[:n]
@@ -219,6 +228,7 @@ class _TermModel:
             float(np.exp(max(self._chosen_model.logs[most], self._smallest_logs[most]))),
             (float(low), float(high)),
             tuple(self._families[k].joint for k in there if self._families[k].joint),
+            "" if self._adds_terms or not np.any(self._is_large[members]) else _TOO_FEW,
         )
 
     @cached_property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, in_unit, quantity_text
@@ -10,8 +11,6 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.terms.candidate_terms import TermTrial, why_term_unknown
 from calib.core.fitting.terms.joint_curves import JointCurve, joint_curves
 from calib.core.robots.terms.terms import TERMS
-
-_NONE = "none, because none improves the prediction of poses left out"
 
 
 def terms_table(fit: Fit) -> dict[str, object]:
@@ -42,7 +41,7 @@ def terms_lines(fit: Fit) -> list[str]:
     added = [_size_in_words(trial) for trial in tried if trial.added]
     left = [_size_in_words(trial) for trial in tried if not (trial.added or trial.refusal)]
     refused = [f"{trial.term} ({trial.refusal})" for trial in tried if trial.refusal]
-    lines = [f"Joint terms added: {listing(added, '; ', count) or _NONE}"]
+    lines = [f"Joint terms added: {listing(added, '; ', count) or _why_none(tried)}"]
     lines += [line for trial in tried if trial.added for line in _coefficients(fit, trial.term)]
     others = {"the measurements neither show nor exclude": left, "these data cannot show": refused}
     return lines + [
@@ -76,7 +75,14 @@ def terms_added(fit: Fit) -> list[str]:
     if fit.terms is None or not fit.terms.automatic:
         return []
     added = [trial.term for trial in fit.terms.trials if trial.added]
-    return [f"Joint terms added: {', '.join(added) or _NONE}"]
+    return [f"Joint terms added: {', '.join(added) or _why_none(fit.terms.trials)}"]
+
+
+def _why_none(trials: Sequence[TermTrial]) -> str:
+    shown = [trial.term for trial in trials if trial.lacks_measurements]
+    if shown:
+        return f"none, because these measurements are too few to fit {listing(shown)}; measure more poses"
+    return "none, because none improves the prediction of poses left out"
 
 
 def terms_not_shown(fit: Fit) -> list[str]:

@@ -278,6 +278,11 @@ def test_what_is_set_or_decided_anywhere_is_left_alone_and_named(tmp_path, progr
         (".mod", RAPID.replace("{tool}", "t"), 'TPWrite "p2:=p1;"; ! t.tframe.trans.z:=5;'),
         (".mod", RAPID.replace("{tool}", "t"), "IF c THEN MoveL p1,v100,fine,tool0; ELSE n:=1; ENDIF"),
         (".mod", RAPID.replace("{tool}", "t"), "n:=Distance(p1.trans,p1.trans);"),
+        (".mod", RAPID.replace("{tool}", "t"), "FOR i FROM (1) TO (n+1) STEP (1) DO n:=(n+1); ENDFOR"),
+        (".src", KRL, "WAIT FOR ($IN[1]==TRUE)\nWAIT SEC (0.5)\nFOR I=(1) TO (N+1) STEP (1)\nN=(N+1)\nENDFOR"),
+        (".src", KRL, "INTERRUPT DECL 3 WHEN ($STOPMESS==TRUE) DO IR_STOPM ( )"),
+        (".src", KRL, "BAS(#INITMOV,0)\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME"),
+        (".src", KRL, "FDAT_ACT={TOOL_NO 0,BASE_NO 0,IPO_FRAME #BASE}\nBAS(#FRAMES)"),
         (".src", KRL, "$VEL.CP=0.1\nWAIT SEC 1\n$OUT[1]=TRUE ; $TOOL.Z=5"),
         (".src", KRL, "IF $IN[1] THEN\n$TOOL.Z=5\nENDIF\n$TOOL=$NULLFRAME"),
         (".src", KRL, "PICK()\n$TOOL={X 0,Y 0,Z 0,A 0,B 0,C 0}"),
@@ -311,6 +316,37 @@ def test_a_branch_is_taken_in_place_of_the_others_and_not_behind_them(tmp_path, 
     text = {".mod": RAPID.replace("{tool}", "tool0"), ".src": KRL, ".script": UR}[suffix]
     program = read(tmp_path, suffix, text.replace("#", edit).replace("%\n", ""))
     assert [target.name.upper()[-1] for target in program.targets] == ["1"]
+
+
+@pytest.mark.parametrize(("suffix", "text"), [(".mod", RAPID), (".src", KRL), (".script", UR)])
+def test_the_mark_that_editors_put_before_a_text_stays(tmp_path, suffix, text):
+    read(tmp_path, suffix, text.replace("{tool}", "t").replace("#\n", "").replace("%\n", ""))
+    path = tmp_path / f"part{suffix}"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    program = read_program(path)
+    assert len(program.targets) == 2
+    assert program.rewritten([None, None]) == (path.read_bytes(),)
+
+
+@pytest.mark.parametrize(
+    ("form", "left", "x"),
+    [
+        ("{TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}", "", 0.6 + 0.02 - 0.01),
+        ("{TOOL_NO 1,BASE_NO 2,IPO_FRAME #TCP}", "the tool is not on the robot", 0.0),
+        ("{TOOL_NO N,BASE_NO 2,IPO_FRAME #BASE}", "TOOL_DATA[N] is not known here", 0.0),
+        ("{TOOL_NO 1}", "FDAT_ACT does not say TOOL_NO and BASE_NO", 0.0),
+    ],
+)
+def test_a_form_that_is_written_out_selects_tool_and_base(tmp_path, form, left, x):
+    """By hand: a base at x = 20 mm, a tool 10 mm ahead in x."""
+    (tmp_path / "frames.csv").write_text(
+        "name,x,y,z,rx,ry,rz\nTOOL_DATA[1],0.01,0,0,0,0,0\nBASE_DATA[2],0.02,0,0,0,0,0\n"
+    )
+    edit = f"FDAT_ACT={form}\nBAS(#PTP_PARAMS,50)"
+    (tmp_path / "part.src").write_text(KRL.replace("#", edit).replace("%\n", "").replace("B 80", "B 0"))
+    program = read_program(tmp_path / "part.src", [tmp_path / "frames.csv"])
+    assert [str(place).partition("P2: ")[2].startswith(left) for place in program.left_out] == [True] * bool(left), left
+    assert [target.flange.translation[0] for target in program.targets[1:]] == pytest.approx([x] * (not left))
 
 
 @pytest.mark.parametrize(

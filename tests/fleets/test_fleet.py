@@ -152,6 +152,18 @@ def test_the_command_names_the_odd_one_and_writes_a_robot_that_few_poses_calibra
     check_minimum(fit, known, data)
 
 
+def test_what_the_fleet_knows_of_the_noise_makes_no_pattern_of_it(tmp_path):
+    """Good readings show a pattern in one of a hundred fits."""
+    rng = np.random.default_rng(9)
+    robot = fleet_figures.described(tmp_path, known=False)
+    mean = fleet_figures.made_up(robot, rng)
+    known = fleet_figures.knowing(robot, mean, fleet_figures.SPREAD)
+    for _ in range(3):
+        truth = fleet_figures.one_more(robot, mean, rng)
+        fit = calib.fit(known, calib.simulate(truth, robot.sample(12, rng), seed=rng))
+        assert "systematic" not in [reason.code for reason in fit.verdict.reasons]
+
+
 def check_minimum(fit, known, data):
     """The fit is where readings and the joint normal prior of the file, multiplied, are most likely."""
     fleet = known.description.fleet

@@ -470,3 +470,9 @@ def test_reading_takes_a_time_in_proportion_to_the_length(tmp_path, piece):
     with contextlib.suppress(calib.DataError):
         read_gcode(tmp_path / "a.gcode")
     assert time.process_time() - began < 20
+
+
+def test_ends_of_lines_stay(tmp_path):
+    path = tmp_path / "part.nc"
+    path.write_bytes(b"%\r\nG21 G90\r\nG1 X1 Y2 Z3\r\n%\r\n")
+    assert read_gcode(path).rewritten(None) == path.read_bytes().decode()

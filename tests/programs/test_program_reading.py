@@ -349,6 +349,27 @@ def test_a_form_that_is_written_out_selects_tool_and_base(tmp_path, form, left, 
     assert [target.flange.translation[0] for target in program.targets[1:]] == pytest.approx([x] * (not left))
 
 
+def test_inline_forms_of_controllers_are_read(tmp_path):
+    """As KUKA's controllers (KSS 8.6) write them. By hand: a base at x = 20 mm, a tool 10 mm ahead in x."""
+    (tmp_path / "frames.csv").write_text(
+        "name,x,y,z,rx,ry,rz\nTOOL_DATA[1],0.01,0,0,0,0,0\nBASE_DATA[2],0.02,0,0,0,0,0\n"
+    )
+    pose = "{X 600,Y 0,Z 500,A 0,B 0,C 0}"
+    frames = "$TOOL = STOOL2(FP1), $BASE = SBASE(FP1.BASE_NO), $IPO_MODE = SIPO_MODE(FP1.IPO_FRAME)"
+    (tmp_path / "part.src").write_text(
+        f"DEF p()\nDECL FDAT FP1={{TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}}\nDECL E6POS XP1={pose}\n"
+        f"DECL E6POS XP2={pose}\nDECL E6POS XP3={pose}\nBAS (#INITMOV,0 )\n"
+        f"SPTP XP1 WITH $VEL_AXIS[1] = SVEL_JOINT(100.0), {frames}, $LOAD = SLOAD(FP1.TOOL_NO), $ACC_AXIS[1] ="
+        " SACC_JOINT(PPDAT1), $APO = SAPO_PTP(PPDAT1), $GEAR_JERK[1] = SGEAR_JERK(PPDAT1), $COLLMON_TOL_PRO[1] ="
+        f" USE_CM_PRO_VALUES(0)\nSLIN XP2 WITH $VEL = SVEL_CP(2.0, , LCPDAT1), {frames}, $LOAD = SLOAD(FP1.TOOL_NO),"
+        " $ACC = SACC_CP(LCPDAT1), $ORI_TYPE = SORI_TYP(LCPDAT1), $APO = SAPO(LCPDAT1), $JERK = SJERK(LCPDAT1)\n"
+        "$BWDSTART = FALSE\nLDAT_ACT = LCPDAT1\nFDAT_ACT = FP1\nBAS(#CP_PARAMS, 2.0)\nSET_CD_PARAMS (0)\nLIN XP3\nEND\n"
+    )
+    program = read_program(tmp_path / "part.src", [tmp_path / "frames.csv"])
+    assert program.left_out == ()
+    assert [target.flange.translation[0] for target in program.targets] == pytest.approx([0.61] * 3)
+
+
 @pytest.mark.parametrize(
     ("suffix", "text", "call"),
     [

@@ -71,7 +71,7 @@ class Factors(ReadOnlyArrays):
         effective: Factor for the scatter of the parameters, in place of f in C, (n_groups,); `values`, except with a
             robust loss.
         slope: Ratio of the weight of the data against priors, with and without the robust loss; 1 if there is none.
-        confirmed: Degrees of freedom among these that are not of the residuals: they confirmed the assumed noise before.
+        confirmed: Degrees of freedom among these that confirmed the assumed noise before, without residuals here.
     """
 
     values: FloatArray

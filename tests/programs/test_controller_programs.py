@@ -219,6 +219,11 @@ BAD = {
         [
             (UR, "", "has no targets"),
             (UR, "\x00\x01", "line 1: is not text"),
+            (
+                "movej(a)\n  movel(p[0.6,0,0.5,0,1.4,0])",
+                "b=p[0.6,0,0.5,0,1.4,0]\nmovel(b)\nset_tcp(p[0,0,0.2,0,0,0])\nmovel(b)",
+                "line 7: b: is reached with different tools or frames",
+            ),
             (UR, "G1 X5\n", "has no targets that can be compensated as URScript"),
             ("movej(a)", "movej(b)", "line 4: b: is not declared here"),
             ("movej(a)", "movej(a[0])", "line 4: a[0]: is computed at run time"),

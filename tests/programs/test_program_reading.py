@@ -279,6 +279,7 @@ def test_what_is_set_or_decided_anywhere_is_left_alone_and_named(tmp_path, progr
         (".mod", RAPID.replace("{tool}", "t"), "IF c THEN MoveL p1,v100,fine,tool0; ELSE n:=1; ENDIF"),
         (".mod", RAPID.replace("{tool}", "t"), "n:=Distance(p1.trans,p1.trans);"),
         (".mod", RAPID.replace("{tool}", "t"), "FOR i FROM (1) TO (n+1) STEP (1) DO n:=(n+1); ENDFOR"),
+        (".mod", RAPID.replace("{tool}", "t").replace("[9E9,9E9", "[0,9E9"), "SetDO do1,1;"),
         (".src", KRL, "WAIT FOR ($IN[1]==TRUE)\nWAIT SEC (0.5)\nFOR I=(1) TO (N+1) STEP (1)\nN=(N+1)\nENDFOR"),
         (".src", KRL, "INTERRUPT DECL 3 WHEN ($STOPMESS==TRUE) DO IR_STOPM ( )"),
         (".src", KRL, "BAS(#INITMOV,0)\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME"),
@@ -292,6 +293,7 @@ def test_what_is_set_or_decided_anywhere_is_left_alone_and_named(tmp_path, progr
         (".script", UR, "def g(): end_force_mode() end\npath_offset_disable()\nstop_conveyor_tracking()\ng()"),
         (".ls", LS, "   3:L P[1] 100mm/sec FINE DB 5mm,DO[1]=ON ;"),
         (".ls", LS, "   3:  DO[1]=ON ;\n   4:  !UFRAME_NUM=2 ;\n   5:  MESSAGE[don't; CALL X] ;"),
+        (".ls", LS, "   3:  Arc Start[1,2] ;\n   4:  Weave Sine[5] ;"),
         (".ls", LS, "   3:  UFRAME_NUM=1 ;\n   4:  UTOOL_NUM=1 ;\n   5:  WAIT   1.00(sec) ;"),
     ],
 )

@@ -376,7 +376,7 @@ class RapidReader(Reader):
         if "CORR" in options:
             raise LeftOutError("is corrected while the robot moves (\\Corr)")
         parts = self._complete(data)
-        if any(value < _NONE for value in self._values(parts[-1], 6, "extax")):
+        if any(0 != value < _NONE for value in self._values(parts[-1], 6, "extax")):
             raise LeftOutError("moves external axes, which the description does not have")
         if isinstance(state["EOFFS"], Unknown):
             raise LeftOutError(f"an offset of axes {state['EOFFS'].why}")

@@ -135,7 +135,7 @@ def _origin_of_values(parameters: str | None, result: str | None) -> list[str]:
     noise = "unknown" if sigma is None else quantity_text(cast(float, sigma), "mm", ".4g")
     return [
         f"values: {result}, made by {content.get('program', 'an unknown version')}",
-        f"fitted to {content['n_poses']} poses, {content['n_rows']} measured values; noise found: {noise}",
+        f"fitted to {content['n_poses']} poses, {content['n_rows']} rows; noise found: {noise}",
     ]
 
 

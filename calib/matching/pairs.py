@@ -256,7 +256,7 @@ def _step(table: Table, columns: Sequence[int], numbers: dict[int, FloatArray]) 
     """Rounding step of columns: the largest usual step that divides all numbers, or the cells' median last digit."""
     values = np.concatenate([numbers[k] for k in columns])
     decimals = [
-        len(mantissa.partition(".")[2]) - int(exponent or 0)
+        len(mantissa.strip().replace(",", ".").partition(".")[2]) - int(exponent or 0)
         for k in columns
         for mantissa, _, exponent in (text.lower().partition("e") for text in table.text(table.names[k]))
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -15,6 +16,7 @@ from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import (
     Output,
+    folder_of_values,
     load_robot,
     shared_options,
     values_options,
@@ -23,6 +25,7 @@ from calib.core.commands.common import (
 from calib.core.data.measurement_files import read_poses
 from calib.core.data.measurements import Poses
 from calib.core.data.plan_files import read_plan, read_pose_files
+from calib.core.results.result_reading import forced_lines
 from calib.core.robots.robot import Robot
 from calib.motion.programs import LANGUAGES, THIRD_JOINT, Motion, table_to_fill_in, write_program
 from calib.motion.route import Route, plan_route
@@ -127,6 +130,9 @@ def command(
     output.check(folders=(out,), names=(*files.values(), _READINGS))
     with output.working(f"finding ways to {count_noun(len(visits), 'pose')}") as progress:
         route = plan_route(model, visits, start=_start(start, model), candidates=spare, seed=seed, progress=progress)
+    folder = folder_of_values(robot, parameters, result)
+    if folder and forced_lines(folder):
+        route = replace(route, remarks=(f"the fit in {folder} failed", *route.remarks))
     content = {file: write_program(route, language, motion).encode() for language, file in files.items()}
     write_folder(out, content | {_READINGS: table_to_fill_in(route).encode()}, force=output.force)
     output.say(_report(route))

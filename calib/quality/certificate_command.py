@@ -126,6 +126,8 @@ def command(
         of_budget = quantity_text(found.combined_uncertainty, "um", ".4g")
         difference = f"they differ by {100 * drawn.difference:.1f} % from the budget ({of_budget})"
         output.say(f"Monte Carlo: {drawn.draws} draws, {difference}")
+    if content["verdict"] == "FAIL":
+        output.note(f"note: the fit in {result} failed; {out} states the verdict")
     if not stated.model_fields_set:
         output.note("note: no 'traceability' is stated: the budget knows nothing of instrument and temperature")
     output.say(f"Written to {out}" + ("" if key is None else f", signed in {out}{ENDING}"))

@@ -19,7 +19,7 @@ from calib.exporting.formats import export
 from calib.exporting.mjcf import mjcf
 from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
-from tests.project import ROOT, copied
+from tests.project import EXAMPLES, ROOT, copied
 from tests.signed_files import plain, read_plain
 
 ROBOT = ROOT / "urdf" / "medrue.yaml"
@@ -136,6 +136,14 @@ def test_command_reads_a_parameter_file(tmp_path: Path, run_calib) -> None:
     assert 'xyz="0 0.41 0"' in text
     assert "L11: 400 -> 410 mm" in text
     assert "values.csv" in text
+
+
+def test_a_header_counts_poses_and_rows(tmp_path: Path, run_calib) -> None:
+    arm = calib.load(EXAMPLES / "arm.yaml")
+    data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", arm)
+    calib.fit(arm, data).save(tmp_path / "arm", pages=False)
+    assert run_calib("export", tmp_path / "arm", "--format", "c", "--out", tmp_path / "arm.c").code == 0
+    assert f"fitted to {len(data)} poses, {len(data)} rows; noise found: 0.0" in (tmp_path / "arm.c").read_text()
 
 
 def test_command_prints_the_gaps_as_json(tmp_path: Path, run_calib) -> None:

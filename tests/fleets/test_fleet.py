@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 import calib
 from calib.cli import group
+from calib.core.fitting.unseen_errors import left_out_ratio
 from calib.core.numerics.prior import Prior
 from calib.fleets.hierarchy import FleetEvidence, compare_with_fleet, evidence_of_data, learn, learn_without_odd
 from tests.fleets import fleet_figures
@@ -150,6 +151,19 @@ def test_the_command_names_the_odd_one_and_writes_a_robot_that_few_poses_calibra
     assert held > 0.8
     assert fit.nominal.description.fleet.unlike == ()
     check_minimum(fit, known, data)
+
+
+def test_what_the_fleet_knows_of_the_noise_makes_no_pattern_of_it(tmp_path):
+    """Good readings show a pattern in one of a hundred fits."""
+    rng = np.random.default_rng(9)
+    robot = fleet_figures.described(tmp_path, known=False)
+    mean = fleet_figures.made_up(robot, rng)
+    known = fleet_figures.knowing(robot, mean, fleet_figures.SPREAD)
+    for _ in range(3):
+        truth = fleet_figures.one_more(robot, mean, rng)
+        fit = calib.fit(known, calib.simulate(truth, robot.sample(12, rng), seed=rng))
+        assert "systematic" not in [reason.code for reason in fit.verdict.reasons]
+        assert left_out_ratio(fit) < 2  # errors of left-out poses are as large as noise and covariance say
 
 
 def check_minimum(fit, known, data):

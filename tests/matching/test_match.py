@@ -95,6 +95,14 @@ def test_rounded_pairs_give_a_robot_that_agrees_at_other_poses(stock: Path, tmp_
     assert {"calibrated.urdf", "dh.csv", "mdh.csv", "origins.xacro"} <= {p.name for p in (tmp_path / "out").iterdir()}
 
 
+def test_decimal_commas_are_decimals(tmp_path: Path) -> None:
+    q = joint_values(3)
+    file = ur_pairs(tmp_path / "points.csv", q, poses(q, origins()))
+    (tmp_path / "commas.csv").write_text(file.read_text().replace(",", ";").replace(".", ","))
+    names = tuple(f"q{k}" for k in range(6))
+    assert read_pairs(tmp_path / "commas.csv", names).steps == pytest.approx([*[1e-6] * 6, 1e-2, 1e-3])
+
+
 def test_rounded_joint_values_count_as_rounding(stock: Path, tmp_path: Path) -> None:
     q = joint_values(1)
     matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q, origins()), digits=(3, 2, 3)))

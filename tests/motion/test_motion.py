@@ -524,3 +524,13 @@ def test_plain_poses_of_every_kind_are_shown(tmp_path, kind):
     section = f"instruments: {{own: {{kind: {kind}{target}, {more.get(kind, '')}}}}}\n".replace(", }", "}")
     poses = as_poses(calib.load(_write(tmp_path, section)), np.zeros((1, 6)), ["home"])
     assert set(gather(calib.load(tmp_path / "arm.yaml"), data=poses).scene.poses.group) <= {"planned", "collides"}
+
+
+def test_a_route_by_a_forced_fit_that_failed_says_so(tmp_path, run_calib):
+    arm = calib.load(EXAMPLES / "arm.yaml")
+    data = calib.simulate(arm, arm.sample(30, 2), sigma=2e-2, seed=2)  # m: no robot is that bad
+    failed = calib.fit(arm, data.joints, data.readings["reflector"].values)
+    failed.save(tmp_path / "forced", force=True, pages=False)
+    write_table(tmp_path / "poses.csv", arm.joint_names, 0.1 * np.arange(1.0, 7.0)[None])
+    run = run_calib("route", tmp_path / "forced", tmp_path / "poses.csv", "--out", tmp_path / "route")
+    assert f"Note: the fit in {tmp_path / 'forced'} failed\n" in run.out

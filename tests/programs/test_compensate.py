@@ -426,6 +426,14 @@ def test_command_gives_poses_for_controllers_that_take_them(tmp_path, calibrated
     assert 1e-4 < np.abs(np.array(told) - [0.5, 0.1, 0.6]).max() < 5e-3
 
 
+def test_columns_that_are_not_written_are_named(tmp_path, calibrated):
+    row = "0.1,0.2,0.3,0.1,0.8,0.1"
+    text = f"pose,{JOINTS},load [kg],speed [mm],note,reflector_x\nA,{row},1,9,x,0\n"
+    said = "program.csv: not in the written table: speed, note\n"
+    assert said in run(tmp_path, text, result=calibrated).output
+    assert "not in the written table" not in run(tmp_path, f"pose,{JOINTS}\nA,{row}\n", result=calibrated).output
+
+
 @pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("text", "options", "code", "message"),
@@ -435,6 +443,7 @@ def test_command_gives_poses_for_controllers_that_take_them(tmp_path, calibrated
         ("joint_1,joint_2\n0,0\n", (), 2, "no column 'joint_3'"),
         (f"joint_1,{NAMES}\n0,1,1,1\n", (), 2, "none for joint 'joint_2'; give all joints, or none"),
         (f"{JOINTS} [mm]\n0,0,0,0,0,0\n", (), 2, "column 'joint_6'"),
+        (f"{JOINTS},before,expected,status\n0,0,0,0,0,0,1,1,ok\n", (), 2, "is compensated already"),
         (f"{NAMES}\n0.5,0.1,0.6\n", ("--keep", "pose"), 2, "leave it out"),
         (f"{NAMES}\n9,0,0\n", (), 2, "1 row of 1 cannot be compensated"),
         (f"{NAMES}\n9,0,0\n", ("--skip-unreachable",), 2, "1 row of 1 cannot be compensated"),

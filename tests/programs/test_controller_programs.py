@@ -219,6 +219,11 @@ BAD = {
         [
             (UR, "", "has no targets"),
             (UR, "\x00\x01", "line 1: is not text"),
+            (
+                "movej(a)\n  movel(p[0.6,0,0.5,0,1.4,0])",
+                "b=p[0.6,0,0.5,0,1.4,0]\nmovel(b)\nset_tcp(p[0,0,0.2,0,0,0])\nmovel(b)",
+                "line 7: b: is reached with different tools or frames",
+            ),
             (UR, "G1 X5\n", "has no targets that can be compensated as URScript"),
             ("movej(a)", "movej(b)", "line 4: b: is not declared here"),
             ("movej(a)", "movej(a[0])", "line 4: a[0]: is computed at run time"),
@@ -280,6 +285,11 @@ BAD = {
             (f"[0,0,0,0],{AXES}]", "[0,0,0,0]]", "robtarget 'p' is not complete"),
             ("45,0]", "45]", "robax has 5 numbers; expected 6"),
             ("MoveL p,", "SearchL di1,p,p,", "is where a search ends"),
+            (
+                "MoveL p,",
+                f"CONST robtarget ps{{1}}:=[[[1,2,3],[1,0,0,0],[0,0,0,0],{AXES}]];\nMoveL ps{{n}},",
+                "ps{n}: is chosen at run time",
+            ),
             ("MoveL p,", "CONST robtarget p:=[[1,2,3],[1,0,0,0]];\nMoveL p,", "p: is declared in several places"),
             ("PROC main()", "PROC main(robtarget p,num n)", "p: is given to a routine when it is called"),
             ("PROC main()", "PROC main(INOUT tooldata t)", "'t' is given to a routine"),
@@ -295,6 +305,7 @@ BAD = {
             ("LIN {X 600,Y 0", "LIN {X 600", "gives only a part of a position"),
             ("A1 0,A2 5", "A2 5", "gives only a part of a position"),
             ("LIN {X 600,", "LIN {X a,", "is not plain numbers"),
+            ("LIN {X 600,", "LIN {X 'B1',", "is not plain numbers"),
             ("LIN {X 600,", "LIN {X 6e7,", "'6e7' is beyond what any machine reads"),
             ("LIN {X", "LIN_REL {X", "is relative to where the robot is"),
             ("LIN {X", "LIN XP1:{X", "is computed at run time"),
@@ -391,6 +402,15 @@ def test_what_stands_behind_with_holds_for_its_motion_or_spline(tmp_path):
     program = read_program(path)
     assert program.left_out == ()
     assert [round(1e3 * target.flange.translation[0]) for target in program.targets] == [510, 500, 520, 520, 500]
+
+
+@pytest.mark.parametrize(("status", "turns"), [("'B010'", "'B100010'"), ("'b10'", "'H22'"), ("2", "34")])
+def test_bits_are_read_as_controllers_write_them(status, turns, tmp_path):
+    path = tmp_path / "part.src"
+    path.write_text(KUKA.replace("S 2,T 0", f"S {status},T {turns}"))
+    configuration = read_program(path).targets[1].configuration
+    assert configuration.text == "S 2, T 34"
+    assert [k for k, (low, _) in configuration.ranges.items() if low < 0] == [1, 5]
 
 
 @pytest.mark.parametrize("suffix", BAD)

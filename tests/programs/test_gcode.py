@@ -212,6 +212,9 @@ def test_the_command_writes_a_program_and_its_figures(tmp_path, calibrated):
     # stands at 1.001 x - sin(a) y, cos(a) y with its zero at -100, -100: told ((x + tan(a) y) / 1.001, y / cos(a))
     x, y = (50 + np.tan(3e-3) * 100) / 1.001 + 100, 100 / np.cos(3e-3) + 100
     assert (words["X"], words["Y"], words["Z"]) == pytest.approx((x, y, 50), abs=0.03)
+    again = run(tmp_path, calibrated, (tmp_path / "out.gcode").read_text(), *options[:4])
+    assert again.exit_code == 2
+    assert "part.gcode: is compensated already" in again.output
     figures = json.loads(target.read_text())
     assert (figures["n_moves"], figures["n_pieces"]) == (2, 2)
     assert figures["between_mm"]["max"] < 0.001 < figures["expected_mm"]["max"] < figures["before_mm"]["max"]
@@ -470,3 +473,9 @@ def test_reading_takes_a_time_in_proportion_to_the_length(tmp_path, piece):
     with contextlib.suppress(calib.DataError):
         read_gcode(tmp_path / "a.gcode")
     assert time.process_time() - began < 20
+
+
+def test_ends_of_lines_stay(tmp_path):
+    path = tmp_path / "part.nc"
+    path.write_bytes(b"%\r\nG21 G90\r\nG1 X1 Y2 Z3\r\n%\r\n")
+    assert read_gcode(path).rewritten(None) == path.read_bytes().decode()

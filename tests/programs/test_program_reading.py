@@ -278,6 +278,12 @@ def test_what_is_set_or_decided_anywhere_is_left_alone_and_named(tmp_path, progr
         (".mod", RAPID.replace("{tool}", "t"), 'TPWrite "p2:=p1;"; ! t.tframe.trans.z:=5;'),
         (".mod", RAPID.replace("{tool}", "t"), "IF c THEN MoveL p1,v100,fine,tool0; ELSE n:=1; ENDIF"),
         (".mod", RAPID.replace("{tool}", "t"), "n:=Distance(p1.trans,p1.trans);"),
+        (".mod", RAPID.replace("{tool}", "t"), "FOR i FROM (1) TO (n+1) STEP (1) DO n:=(n+1); ENDFOR"),
+        (".mod", RAPID.replace("{tool}", "t").replace("[9E9,9E9", "[0,9E9"), "SetDO do1,1;"),
+        (".src", KRL, "WAIT FOR ($IN[1]==TRUE)\nWAIT SEC (0.5)\nFOR I=(1) TO (N+1) STEP (1)\nN=(N+1)\nENDFOR"),
+        (".src", KRL, "INTERRUPT DECL 3 WHEN ($STOPMESS==TRUE) DO IR_STOPM ( )"),
+        (".src", KRL, "BAS(#INITMOV,0)\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME"),
+        (".src", KRL, "FDAT_ACT={TOOL_NO 0,BASE_NO 0,IPO_FRAME #BASE}\nBAS(#FRAMES)"),
         (".src", KRL, "$VEL.CP=0.1\nWAIT SEC 1\n$OUT[1]=TRUE ; $TOOL.Z=5"),
         (".src", KRL, "IF $IN[1] THEN\n$TOOL.Z=5\nENDIF\n$TOOL=$NULLFRAME"),
         (".src", KRL, "PICK()\n$TOOL={X 0,Y 0,Z 0,A 0,B 0,C 0}"),
@@ -287,6 +293,7 @@ def test_what_is_set_or_decided_anywhere_is_left_alone_and_named(tmp_path, progr
         (".script", UR, "def g(): end_force_mode() end\npath_offset_disable()\nstop_conveyor_tracking()\ng()"),
         (".ls", LS, "   3:L P[1] 100mm/sec FINE DB 5mm,DO[1]=ON ;"),
         (".ls", LS, "   3:  DO[1]=ON ;\n   4:  !UFRAME_NUM=2 ;\n   5:  MESSAGE[don't; CALL X] ;"),
+        (".ls", LS, "   3:  Arc Start[1,2] ;\n   4:  Weave Sine[5] ;"),
         (".ls", LS, "   3:  UFRAME_NUM=1 ;\n   4:  UTOOL_NUM=1 ;\n   5:  WAIT   1.00(sec) ;"),
     ],
 )
@@ -311,6 +318,58 @@ def test_a_branch_is_taken_in_place_of_the_others_and_not_behind_them(tmp_path, 
     text = {".mod": RAPID.replace("{tool}", "tool0"), ".src": KRL, ".script": UR}[suffix]
     program = read(tmp_path, suffix, text.replace("#", edit).replace("%\n", ""))
     assert [target.name.upper()[-1] for target in program.targets] == ["1"]
+
+
+@pytest.mark.parametrize(("suffix", "text"), [(".mod", RAPID), (".src", KRL), (".script", UR)])
+def test_the_mark_that_editors_put_before_a_text_stays(tmp_path, suffix, text):
+    read(tmp_path, suffix, text.replace("{tool}", "t").replace("#\n", "").replace("%\n", ""))
+    path = tmp_path / f"part{suffix}"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    program = read_program(path)
+    assert len(program.targets) == 2
+    assert program.rewritten([None, None]) == (path.read_bytes(),)
+
+
+@pytest.mark.parametrize(
+    ("form", "left", "x"),
+    [
+        ("{TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}", "", 0.6 + 0.02 - 0.01),
+        ("{TOOL_NO 1,BASE_NO 2,IPO_FRAME #TCP}", "the tool is not on the robot", 0.0),
+        ("{TOOL_NO N,BASE_NO 2,IPO_FRAME #BASE}", "TOOL_DATA[N] is not known here", 0.0),
+        ("{TOOL_NO 1}", "FDAT_ACT does not say TOOL_NO and BASE_NO", 0.0),
+    ],
+)
+def test_a_form_that_is_written_out_selects_tool_and_base(tmp_path, form, left, x):
+    """By hand: a base at x = 20 mm, a tool 10 mm ahead in x."""
+    (tmp_path / "frames.csv").write_text(
+        "name,x,y,z,rx,ry,rz\nTOOL_DATA[1],0.01,0,0,0,0,0\nBASE_DATA[2],0.02,0,0,0,0,0\n"
+    )
+    edit = f"FDAT_ACT={form}\nBAS(#PTP_PARAMS,50)"
+    (tmp_path / "part.src").write_text(KRL.replace("#", edit).replace("%\n", "").replace("B 80", "B 0"))
+    program = read_program(tmp_path / "part.src", [tmp_path / "frames.csv"])
+    assert [str(place).partition("P2: ")[2].startswith(left) for place in program.left_out] == [True] * bool(left), left
+    assert [target.flange.translation[0] for target in program.targets[1:]] == pytest.approx([x] * (not left))
+
+
+def test_inline_forms_of_controllers_are_read(tmp_path):
+    """As KUKA's controllers (KSS 8.6) write them. By hand: a base at x = 20 mm, a tool 10 mm ahead in x."""
+    (tmp_path / "frames.csv").write_text(
+        "name,x,y,z,rx,ry,rz\nTOOL_DATA[1],0.01,0,0,0,0,0\nBASE_DATA[2],0.02,0,0,0,0,0\n"
+    )
+    pose = "{X 600,Y 0,Z 500,A 0,B 0,C 0}"
+    frames = "$TOOL = STOOL2(FP1), $BASE = SBASE(FP1.BASE_NO), $IPO_MODE = SIPO_MODE(FP1.IPO_FRAME)"
+    (tmp_path / "part.src").write_text(
+        f"DEF p()\nDECL FDAT FP1={{TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}}\nDECL E6POS XP1={pose}\n"
+        f"DECL E6POS XP2={pose}\nDECL E6POS XP3={pose}\nBAS (#INITMOV,0 )\n"
+        f"SPTP XP1 WITH $VEL_AXIS[1] = SVEL_JOINT(100.0), {frames}, $LOAD = SLOAD(FP1.TOOL_NO), $ACC_AXIS[1] ="
+        " SACC_JOINT(PPDAT1), $APO = SAPO_PTP(PPDAT1), $GEAR_JERK[1] = SGEAR_JERK(PPDAT1), $COLLMON_TOL_PRO[1] ="
+        f" USE_CM_PRO_VALUES(0)\nSLIN XP2 WITH $VEL = SVEL_CP(2.0, , LCPDAT1), {frames}, $LOAD = SLOAD(FP1.TOOL_NO),"
+        " $ACC = SACC_CP(LCPDAT1), $ORI_TYPE = SORI_TYP(LCPDAT1), $APO = SAPO(LCPDAT1), $JERK = SJERK(LCPDAT1)\n"
+        "$BWDSTART = FALSE\nLDAT_ACT = LCPDAT1\nFDAT_ACT = FP1\nBAS(#CP_PARAMS, 2.0)\nSET_CD_PARAMS (0)\nLIN XP3\nEND\n"
+    )
+    program = read_program(tmp_path / "part.src", [tmp_path / "frames.csv"])
+    assert program.left_out == ()
+    assert [target.flange.translation[0] for target in program.targets] == pytest.approx([0.61] * 3)
 
 
 @pytest.mark.parametrize(

@@ -230,6 +230,15 @@ def test_pages_say_that_software_gives_no_legal_force(folder, statement, tmp_pat
     assert (tmp_path / "c.pdf").read_bytes().startswith(b"%PDF")
 
 
+def test_a_failed_fit_that_was_forced_is_named(arm, measured, tmp_path, run_calib):
+    q, readings = measured
+    calib.fit(arm, q[:30] * [1, 1, -1, 1, 1, 1], readings[:30]).save(tmp_path / "forced", force=True, pages=False)
+    run = run_calib("certificate", tmp_path / "forced", "--out", tmp_path / "c.json", "--draws", 0)
+    assert run.code == 0
+    assert f"the fit in {tmp_path / 'forced'} failed; {tmp_path / 'c.json'} states the verdict" in run.err
+    assert json.loads((tmp_path / "c.json").read_text())["verdict"] == "FAIL"
+
+
 def test_repeated_poses_bring_repeatability_and_the_figures_of_iso_9283(arm, measured, tmp_path, run_calib):
     rng, scatter = np.random.default_rng(4), 2e-5
     again, names = np.repeat(np.arange(24), 4), np.repeat([f"p{k}" for k in range(24)], 4)

@@ -113,7 +113,7 @@ def left_out_ratio(fit: Fit) -> float:
     is r.r of all over the degrees of freedom. It is more if sizes of terms were chosen to suit the readings.
     """
     rows, freedom = fit.weighted_rows, fit.statistics.freedom
-    square = float(np.sum(rows.residuals**2))
+    square = float(np.sum(rows.residuals**2)) + fit.statistics.factors.confirmed
     if fit.computed or not (freedom > 0 and square > 0):
         return 1.0
     (moved, decided), layout = _prediction_shifts(fit), rows.layout

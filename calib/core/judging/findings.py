@@ -108,7 +108,8 @@ def linear(fit: Fit) -> LinearFit:
     fit = sample_of_poses(fit)
     rows, known = fit.weighted_rows, fit.statistics
     pose_freedom = np.inf if known.shared_scatter is None else known.shared_scatter.freedom
-    return LinearFit(rows, rows.span, known.freedom, known.factors.common, pose_freedom)
+    factors = known.factors
+    return LinearFit(rows, rows.span, known.freedom, factors.common, pose_freedom, factors.confirmed)
 
 
 @memoize

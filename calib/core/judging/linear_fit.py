@@ -28,6 +28,7 @@ class LinearFit:
         factor: Found over assumed noise.
         pose_freedom: Degrees of freedom of the scatter of poses, where they scatter more than independent readings;
             else infinite.
+        confirmed: Degrees of freedom among `freedom` that confirmed the noise before, as `Factors` has them.
     """
 
     rows: Rows
@@ -35,6 +36,7 @@ class LinearFit:
     freedom: float
     factor: float
     pose_freedom: float = np.inf
+    confirmed: float = 0.0
 
     def after_fit(self, effect: FloatArray) -> FloatArray:
         """Return M Z, the remainder of effects Z (n_rows, n_effects) in the residuals, (n_rows, n_effects)."""
@@ -72,7 +74,7 @@ class LinearFit:
         inverse, seen = vectors / (values + ABSORBED) @ vectors.T, vectors[:, values > ABSORBED]
         found = -inverse @ (seen @ (seen.T @ (columns.T @ self.rows.residuals)))
         freedom = self.freedom - len(made)
-        rest = np.sum((self.rows.residuals + left @ found) ** 2)
+        rest = np.sum((self.rows.residuals + left @ found) ** 2) + self.confirmed
         scatter = np.sqrt(rest / freedom) if freedom > 0 else np.inf
         sizes, deviations = np.zeros(len(size)), np.full(len(size), np.inf)
         sizes[made], deviations[made] = found / size[made], scatter * np.sqrt(np.diag(inverse)) / size[made]
@@ -80,8 +82,8 @@ class LinearFit:
 
     @cached_property
     def square(self) -> float:
-        """Sum of squares of the residuals."""
-        return float(np.sum(self.rows.residuals**2))
+        """Sum of squares of the residuals, and of those that confirmed the noise."""
+        return float(np.sum(self.rows.residuals**2)) + self.confirmed
 
     def visible(self, column: FloatArray) -> float:
         """Return the least effect of a column (n_rows, 1) that the residuals show; infinite if they never do."""

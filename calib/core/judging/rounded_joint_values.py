@@ -94,6 +94,6 @@ def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:
     square += -2.0 * twice + float(np.sum(through**2))
     if mean <= 0 or square <= 0:
         return 0.0, 1.0
-    variance = float(np.sum(linear.rows.residuals**2)) / linear.freedom
+    variance = linear.square / linear.freedom
     chance = float(scipy.special.chdtrc(mean**2 / square, statistic / variance * mean / square))
-    return mean / (variance * linear.freedom), chance
+    return mean / (variance * (linear.freedom - linear.confirmed)), chance

@@ -201,7 +201,7 @@ def _scale(fit: Fit) -> Iterator[str]:
         return
     linear = findings.linear(fit)
     least = linear.visible(column)
-    made = least * float(np.linalg.norm(column)) / np.sqrt(linear.freedom)
+    made = least * float(np.linalg.norm(column)) / np.sqrt(linear.freedom - linear.confirmed)
     if made > NO_MATTER * linear.factor:
         below = f" below {float(f'{millimetres(least):.2g}'):g} mm in 1 m" if least < LARGEST else ""
         yield f"a scale error{below}, of the instrument or from heat (nothing of known length was measured)"

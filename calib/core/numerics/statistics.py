@@ -68,12 +68,14 @@ class Factors(ReadOnlyArrays):
         effective: Factor for the scatter of the parameters, in place of f in C, (n_groups,); `values`, except with a
             robust loss.
         slope: Ratio of the weight of the data against priors, with and without the robust loss; 1 if there is none.
+        confirmed: Degrees of freedom among these that confirmed the assumed noise before, without residuals here.
     """
 
     values: FloatArray
     freedom: FloatArray
     effective: FloatArray
     slope: float = 1.0
+    confirmed: float = 0.0
 
     @property
     def total_freedom(self) -> float:
@@ -250,7 +252,7 @@ def find_factors(
     require_freedom(float(np.sum(freedom)), int(np.sum(groups >= 0)))
     total = np.sum(squares) / np.sum(freedom)  # for a group whose own rows say nothing about its noise
     factor = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
-    return Factors(factor, freedom, factor)
+    return Factors(factor, freedom, factor, confirmed=0.0 if confirmed is None else float(np.sum(confirmed)))
 
 
 def statistics(

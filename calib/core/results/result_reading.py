@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from calib.core.base.errors import ComputationError, DataError, DescriptionError
 from calib.core.results import version_1
 from calib.core.results.loaded_result import LoadedResult
@@ -14,6 +16,8 @@ from calib.core.results.saved_fit import read_saved, saved_files
 from calib.core.robots import loading
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import stored_terms
+
+_SAME = 1e-6  # m, rad and axes, as files round them
 
 
 def load(path: Path | str) -> Robot:
@@ -60,6 +64,14 @@ def load_result(folder: Path | str, robot: Robot | None = None, *, failed_too: b
             ) from None
     if [row["name"] for row in content["parameters"]] != [p.name for p in nominal.parameters]:
         raise DataError(f"{folder}: is the result of another robot ({content['robot']}); its parameters differ")
+    joints = {joint.name: (joint.xyz, joint.rpy, joint.axis) for joint in own.urdf.joints}
+    for joint in nominal.urdf.joints:
+        here = joint.xyz, joint.rpy, joint.axis
+        if not np.allclose(joints.get(joint.name, here), here, rtol=0, atol=_SAME):
+            raise DataError(
+                f"{folder}: is the result of another robot ({content['robot']}), whose joint '{joint.name}' has another"
+                " origin or axis in its URDF"
+            )
     verdict = content["verdict"]
     if verdict["grade"] == "FAIL" and not verdict.get("forced") and not failed_too:
         raise ComputationError(

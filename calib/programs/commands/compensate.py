@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -154,7 +154,11 @@ def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unre
         done = f"left as it is: {no_correction_sentence(job.result)}"
     kept = f"kept: {compensation.kept_components}; {frame_words(compensation)}"
     comments = job.comments(f"{job.program} for {nominal.name}, {done}; {kept}")
-    output.write(job.out, format_table(_columns(nominal, rows, compensation), comments))
+    columns = _columns(nominal, rows, compensation)
+    output.write(job.out, format_table(columns, comments))
+    lost = _columns_left_out(job.program, nominal, [name.partition(" [")[0] for name, _ in columns])
+    if lost:
+        output.note(f"note: {job.program}: not in the written table: {listing(lost)}")
     n_reached, held_out = int(np.sum(compensation.ok)), _held_out_error(job.result)
     content = {
         "robot": nominal.path,
@@ -190,6 +194,8 @@ _KINDS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
 def _read_program(path: str, robot: Robot, output: Output) -> Poses | Goals:
     """The program as joint values if the table has joint columns, else as goals."""
     names = read_table(path, robot.description.columns).names
+    if {"before", "expected", "status"} <= {*names}:
+        raise DataError(f"{path}: is compensated already; give the table from which it was made")
     present = [name for name in robot.commanded_names if name in names]
     if not present:
         return read_goals(path, robot)
@@ -202,6 +208,13 @@ def _read_program(path: str, robot: Robot, output: Output) -> Poses | Goals:
     if targets:
         output.note(f"note: {path} has joints and target columns; the joints are the program")
     return read_poses(path, robot)
+
+
+def _columns_left_out(path: str, robot: Robot, written: Sequence[str]) -> list[str]:
+    """Names of the program's columns that are not written, without those of targets."""
+    targets = tuple(f"{target}_" for target in robot.target_names)
+    names = read_table(path, robot.description.columns).names
+    return [name for name in names if name not in written and not name.startswith(targets)]
 
 
 def _require_all(compensation: Compensation, frame: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError
 from calib.core.base.files import write_files
-from calib.core.base.own_files import GCODE_COMMENT
+from calib.core.base.own_files import GCODE_COMMENT, is_mark
 from calib.core.base.units import from_unit, millimetres, quantity, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import Output
@@ -164,6 +164,8 @@ def compensate_gcode(
     if len(robot.target_names) > 1:
         raise DataError(f"{robot.path}: has several targets, but G-code moves only one; describe that target alone")
     program = read_gcode(job.program, begin, dialect, harmless)
+    if is_mark(program.lines[-1]):
+        raise DataError(f"{job.program}: is compensated already; give the program from which it was made")
     job.output.check(job.out)
     tolerance = quantity(f"{tolerance_mm!r} mm", "length", "--tolerance-mm") - ROUNDING
     unknown = (np.nan, np.nan, np.nan)

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from calib.core.base.errors import DataError
-from calib.core.base.files import read_text
+from calib.core.base.files import read_bytes, read_text
 from calib.programs.languages.gcode_dialects import CALLING, CHANGING, CONDITIONAL, REFUSED, TEXT, Dialect, find_dialect
 from calib.programs.languages.gcode_lines import AXES, GcodeLine, read_line, require_order, require_words
 from calib.programs.languages.gcode_program import INCH, MILLIMETRE, GcodeMove, GcodeProgram
@@ -58,7 +58,8 @@ def read_gcode(
         reader.read(number, line)
     if not reader.moves:
         raise DataError(f"{path}: has no straight moves (G0, G1 with X, Y or Z)")
-    return GcodeProgram(str(path), tuple(lines), tuple(reader.moves))
+    line_end = "\r\n" if b"\r\n" in read_bytes(path, "a G-code program", DataError) else "\n"
+    return GcodeProgram(str(path), tuple(lines), tuple(reader.moves), line_end)
 
 
 @dataclass

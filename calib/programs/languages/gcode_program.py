@@ -63,11 +63,12 @@ class GcodeMove:
 
 @dataclass(frozen=True)
 class GcodeProgram:
-    """A program: its path, its lines, and its straight moves in order."""
+    """A program: its path, its lines, its straight moves in order, and what ends its lines."""
 
     path: str
     lines: tuple[str, ...]
     moves: tuple[GcodeMove, ...]
+    line_end: str = "\n"
 
     def label(self, move: GcodeMove) -> str:
         """Return the name of a move in messages."""
@@ -91,7 +92,7 @@ class GcodeProgram:
             lines[move.line], stands = self._pieces(move, way, stands)
         first = 1 if self.lines and self.lines[0].strip() == "%" else 0
         lines.insert(first, [f"; {comment}" for comment in comments])
-        return "\n".join(line for piece in lines for line in piece) + "\n"
+        return "".join(line + self.line_end for piece in lines for line in piece)
 
     def _pieces(self, move: GcodeMove, way: FloatArray, stands: FloatArray) -> tuple[list[str], FloatArray]:
         """The lines of one move, and where the machine then stands [m]."""

@@ -6,12 +6,14 @@ A statement ends with its line; statements also begin after `THEN`, `ELSE`, `DO`
 assignment, branch, loop or known word may set its arguments, and all frames.
 
 A program selects tool and base by inline forms (`FDAT_ACT` with a `BAS` after it, or `STOOL2` and `SBASE` of a spline),
-by `BAS(#TOOL, ...)` and `BAS(#BASE, ...)`, or by an assignment to `$TOOL` and `$BASE`. `TOOL_DATA` and `BASE_DATA` are
-in the controller's `$config.dat`, or in a table of frames.
+by `BAS(#TOOL, ...)` and `BAS(#BASE, ...)`, or by an assignment to `$TOOL` and `$BASE`. `BAS(#INITMOV, 0)` selects those
+of the controller's set-up, and that the tool is on the robot. `TOOL_DATA` and `BASE_DATA` are in the controller's
+`$config.dat`, or in a table of frames.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +32,7 @@ _SELECTED = ("$TOOL", "$BASE", "$IPO_MODE")
 _WORDS = word_pattern(
     r"[;&][^\n]*", r"[$#]?[^\W\d][\w$]*", r"[=<>]=|<>|[-+*/()\[\]{}=<>,.:!?^%@~|]", r"\"[^\"\n]*\"|'[^'\n]*'"
 )
+_BITS = re.compile(r"'(?:B(?P<binary>[01]+)|H(?P<hexadecimal>[\dA-F]+))'", re.IGNORECASE)
 _POSE = ("X", "Y", "Z", "A", "B", "C")
 _LISTS = ("TOOL_DATA", "BASE_DATA")
 _NULL = ("$NULLFRAME", "TOOL_DATA[0]", "BASE_DATA[0]")
@@ -217,7 +220,7 @@ class KrlReader(Reader):
             left += 2
         components = dict[str, Span]()
         for start, end in code.split(left, right):
-            number = code.number(start + 1, end)
+            number = code.number(start + 1, end) or _bits(code, start, end)
             if number is None or code.tokens[start].kind != "name" or code.tokens[start].text in components:
                 return None
             components[code.tokens[start].text] = number
@@ -268,15 +271,19 @@ class KrlReader(Reader):
     def _form(self, form: Hashable, state: State) -> dict[str, Hashable]:
         if isinstance(form, Unknown):
             return dict.fromkeys(_SELECTED, form)
-        name, members = str(form), dict[str, str]()
-        data = self.declared.get(name)
+        name, members = form.name if isinstance(form, Data) else str(form), dict[str, str]()
+        data = form if isinstance(form, Data) else self.declared.get(name)
         if data is not None and data.kind == "FDAT":
             code = self.codes[data.file]
             for first, stop in code.split(data.span[0] + 1, data.span[1] - 1):
                 members[code.tokens[first].text] = code.text(first + 1, stop)
-        if not {"TOOL_NO", "BASE_NO"} <= set(members) or self.uses.is_set(name):
-            why = f"{name} is {'set while the program runs' if members else 'not declared here'}"
+        if data is None or self.uses.is_set(name):
+            why = f"{name} is {'not declared here' if data is None else 'set while the program runs'}"
             return dict.fromkeys(_SELECTED, Unknown(why, whole=True))
+        if not {"TOOL_NO", "BASE_NO"} <= set(members):
+            return dict.fromkeys(
+                _SELECTED, Unknown(f"{name or 'FDAT_ACT'} does not say TOOL_NO and BASE_NO", whole=True)
+            )
         tool = self.frame_named(f"TOOL_DATA[{members['TOOL_NO']}]", state)
         base = self.frame_named(f"BASE_DATA[{members['BASE_NO']}]", state)
         return dict(zip(_SELECTED, (tool, base, members.get("IPO_FRAME", "#BASE")), strict=True))
@@ -297,8 +304,10 @@ class KrlReader(Reader):
         whole = code.partner[at + 1] + 1 if number else at + 1  # after the element of an array
         in_part = f"is set in part (line {line})"
         if word in ("$IPO_MODE", "FDAT_ACT"):
-            text = code.text(equals + 1, stop)
-            self._select(word, (lambda _: text) if equals == at + 1 else None, in_part)
+            value: Hashable = code.text(equals + 1, stop)
+            if code.bracket_content(equals + 1, stop, "{"):
+                value = Data("", 0, (equals + 1, stop), "FDAT")
+            self._select(word, (lambda _: value) if equals == at + 1 else None, in_part)
         elif word.startswith("$") and word not in _SELECTED:
             if word not in self.harmless:
                 self.flow.mark_unknown(f"is not known after {word} is set (line {line})")
@@ -321,6 +330,9 @@ class KrlReader(Reader):
             self._select(f"${what[1:]}", lambda state: self.frame_named(frame, state))
         elif what in BAS_FORMS and not maybe:
             self.flow.change(_SELECTED, lambda state: {**state, **self._form(state["FDAT_ACT"], state)})
+        elif what == "#INITMOV" and not maybe:
+            self.flow.mark_unknown(f"is not selected after {code.excerpt(at, span[1] + 1)}", _SELECTED[:2])
+            self.flow.note_setting("$IPO_MODE", "#BASE")
         elif what not in BAS_HARMLESS:
             self.flow.mark_unknown(f"is not selected after {code.excerpt(at, span[1] + 1)}", _SELECTED)
         return True
@@ -392,7 +404,7 @@ class KrlReader(Reader):
         if components is None:
             raise LeftOutError("is not plain numbers")
         source = self.sources[data.file]
-        numbers = {key: float(source.text[slice(*place)]) for key, place in components.items()}
+        numbers = {key: _value(source.text[slice(*place)]) for key, place in components.items()}
         if any(numbers.get(f"E{k}", 0.0) for k in range(1, 7)):
             raise LeftOutError("moves external axes, which the description does not have")
         if set(_AXES) <= set(numbers):
@@ -407,6 +419,22 @@ class KrlReader(Reader):
                 "the tool is not on the robot" if mode == "#TCP" else "it is not known whether the tool is on the robot"
             )
         return self.target(data, cells, "zyx", base, tool, _configuration(numbers))
+
+
+def _bits(code: ProgramWords, start: int, end: int) -> Span | None:
+    """The span in the text of S or T as bits, such as `'B010'`."""
+    _, _, first, last = code.tokens[end - 1]
+    is_written = (
+        end == start + 2 and code.tokens[start].text in ("S", "T") and _BITS.fullmatch(code.tokens[end - 1].text)
+    )
+    return (first, last) if is_written else None
+
+
+def _value(text: str) -> float:
+    written = _BITS.fullmatch(text)
+    if written is None:
+        return float(text)
+    return float(int(written["binary"], 2) if written["binary"] else int(written["hexadecimal"], 16))
 
 
 def _configuration(numbers: Mapping[str, float]) -> Configuration | None:

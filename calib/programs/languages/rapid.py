@@ -364,7 +364,9 @@ class RapidReader(Reader):
             return data
         moved = self.code.tokens[span[0] + 2].text if name.startswith(("OFFS(", "RELTOOL(")) else ""
         along = f"; it moves along with {self.declared[moved].name}" if moved in self.declared else ""
-        why = self.uses.why_not(name.partition("{")[0]) or "is not declared here"
+        base = name.partition("{")[0]
+        chosen = f"{base}{{1}}" in self.declared
+        why = self.uses.why_not(base) or ("is chosen at run time" if chosen else "is not declared here")
         raise LeftOutError(f"is computed at run time{along}" if "(" in name else why)
 
     def _target(
@@ -374,7 +376,7 @@ class RapidReader(Reader):
         if "CORR" in options:
             raise LeftOutError("is corrected while the robot moves (\\Corr)")
         parts = self._complete(data)
-        if any(value < _NONE for value in self._values(parts[-1], 6, "extax")):
+        if any(0 != value < _NONE for value in self._values(parts[-1], 6, "extax")):
             raise LeftOutError("moves external axes, which the description does not have")
         if isinstance(state["EOFFS"], Unknown):
             raise LeftOutError(f"an offset of axes {state['EOFFS'].why}")

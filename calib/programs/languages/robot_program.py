@@ -236,7 +236,7 @@ def program_of(language: str, sources: Sequence[ProgramSource], visits: Iterable
     Raises:
         DataError: No target can be compensated.
     """
-    left = list[Visit]()
+    left, others = list[Visit](), list[Visit]()  # others: because of these
     same = dict[Place, list[Visit]]()
     for visit in visits:
         if visit.target is None:
@@ -252,7 +252,7 @@ def program_of(language: str, sources: Sequence[ProgramSource], visits: Iterable
         if stays.target is not None:
             left.append(replace(stays, why="is reached with different tools or frames; give each a target"))
         because = f"stays as it is because of line {stays.line}"
-        left += [replace(visit, why=because) for visit in group if visit.target is not None and visit is not stays]
+        others += [replace(visit, why=because) for visit in group if visit.target is not None and visit is not stays]
     along = {
         place: targets[frame].name
         for place in targets
@@ -264,10 +264,10 @@ def program_of(language: str, sources: Sequence[ProgramSource], visits: Iterable
         why = f"moves along with {name}, a target that is its frame or tool"
         left += [replace(visit, why=why) for visit in same[place]]
         del targets[place]
-    once = {(visit.path, visit.line, visit.text): visit for visit in reversed(left)}  # the first reason counts
+    once = {(visit.path, visit.line, visit.text): visit for visit in reversed(left + others)}  # the first reason counts
     ordered = sorted(once.values(), key=lambda visit: (visit.path != sources[0].path, visit.line))
     if not targets:
-        why = f"; {ordered[0]}" if ordered else ""
+        why = next((f"; {visit}" for visit in ordered if visit in left), "")
         raise DataError(f"{sources[0].path}: has no targets that can be compensated as {language}{why}")
     return RobotProgram(language, tuple(sources), tuple(targets.values()), tuple(ordered))
 

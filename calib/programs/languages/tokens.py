@@ -6,6 +6,7 @@ over text that they have read, so the time is linear in the text.
 
 from __future__ import annotations
 
+import codecs
 import re
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,6 +22,7 @@ from calib.core.base.units import from_unit
 DEGREE, MILLIMETRE = from_unit(1.0, "deg"), from_unit(1.0, "mm")
 _DECIMALS = {1.0: 7, MILLIMETRE: 4, DEGREE: 5, 0: 9}  # least number of decimals, by unit; 0: of a quaternion
 _LARGEST = 1e6
+_MARK = codecs.BOM_UTF8.decode("latin-1")
 Span = tuple[int, int]
 """The index of the first of some words, and the index after the last."""
 _CLOSING = {")": "(", "]": "[", "}": "{"}
@@ -167,7 +169,8 @@ class ProgramWords:
         self.tokens: list[Token] = []
         self.partner: list[int] = []
         opened: list[int] = []
-        for match in words.finditer(source.text, part.start or 0, len(source.text) if part.stop is None else part.stop):
+        first = part.start or (len(_MARK) if source.text.startswith(_MARK) else 0)
+        for match in words.finditer(source.text, first, len(source.text) if part.stop is None else part.stop):
             kind = str(match.lastgroup)
             if kind == "blank" or (kind == "line" and (lines == "blank" or (opened and lines == "outside"))):
                 continue

@@ -208,6 +208,18 @@ def test_the_result_of_another_robot_is_refused(folder, tmp_path):
         load_result(folder, other)
 
 
+def test_the_result_of_another_model_of_the_same_joints_is_refused(folder, tmp_path):
+    own = calib.load(folder)
+    text = (folder / "nominal.urdf").read_text()
+    joint = next(joint for joint in own.urdf.joints if any(joint.xyz))
+    shift = text.replace(" ".join(f"{x:g}" for x in joint.xyz), " ".join(f"{x + 0.1:g}" for x in joint.xyz), 1)
+    assert shift != text
+    (tmp_path / "nominal.urdf").write_text(shift)
+    shutil.copy(folder / "nominal.yaml", tmp_path)
+    with pytest.raises(DataError, match=f"whose joint '{joint.name}' has another origin or axis in its URDF"):
+        load_result(folder, calib.load(tmp_path / "nominal.yaml"))
+
+
 def test_a_damaged_result_is_an_error_and_never_another_robot(fitted, folder, tmp_path):
     """Bits at random, and ends, of what is read back."""
     shutil.copytree(folder, tmp_path / "out")

@@ -200,14 +200,13 @@ def _scale(fit: Fit) -> Iterator[str]:
     """
     column, linear = scales(findings.setting(fit))[:, :1], findings.linear(fit)
     if np.any(column):
-        least = linear.visible(column)
+        least, nothing = linear.visible(column), "nothing else"
         made = least * float(np.linalg.norm(column)) / np.sqrt(linear.freedom)
     else:
         least = made = np.inf if any(group.part.dimension == "length" for group in fit.whitening.groups) else 0.0
+        nothing = "nothing"
     if made > NO_MATTER * linear.factor:
-        small = least < LARGEST
-        below = f" below {float(f'{millimetres(least):.2g}'):g} mm in 1 m" if small else ""
-        nothing = "nothing else" if small else "nothing"
+        below = f" below {float(f'{millimetres(least):.2g}'):g} mm in 1 m" if least < LARGEST else ""
         yield f"a scale error{below}, of the instrument or from heat ({nothing} of known length was measured)"
 
 

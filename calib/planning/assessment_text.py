@@ -187,7 +187,7 @@ def _accuracy(a: Assessment) -> list[str]:
     if many and a.rms_without_common < _MOSTLY_COMMON * a.accuracy.rms:
         lines.append(
             "Most of this error moves all positions as one body, as an unknown place of the base does. Without that"
-            f" part, positions are known to {quantity_text(a.rms_without_common, 'mm', '.4f')} RMS."
+            f" part, positions at these poses are known to {quantity_text(a.rms_without_common, 'mm', '.4f')} RMS."
         )
     return lines + (
         [f"Not counted: {listing(a.left_out)} (only instruments at unknown places see it)."] if a.left_out else []

@@ -213,4 +213,4 @@ def test_what_sockets_do_not_see_is_told_apart(tmp_path, run_calib):
     assessment = calib.check(robot, calib.read_poses(EXAMPLES / "arm_touches_simulated.csv", robot))
     assert assessment.rms_without_common < 1e-4 < 1e-3 < assessment.accuracy.rms  # the plate stands anywhere
     told = run_calib("check", "touch.yaml", EXAMPLES / "arm_touches_simulated.csv", cwd=tmp_path).out
-    assert "Without that part, positions are known to" in " ".join(told.split())
+    assert "Without that part, positions at these poses are known to" in " ".join(told.split())

@@ -260,7 +260,7 @@ def test_what_moves_all_positions_as_one_body_is_told_apart_where_it_is_most(com
     motions = np.concatenate([np.hstack([np.eye(3), -np.cross(np.eye(3), point)]) for point in points])
     rest = np.eye(60) - motions @ np.linalg.pinv(motions)
     beside = 1e3 * np.sqrt(np.trace(rest @ spread @ rest) / 20)
-    said = r"Most of this error moves all positions as one body.* positions are known to ([\d.]+) mm RMS"
+    said = r"Most of this error moves all positions as one body.* positions at these poses are known to ([\d.]+) mm RMS"
     assert numbers_of(said, commands.check_texts["priors"]) == pytest.approx([beside], rel=1e-3)
     assert beside < 0.5e3 * np.sqrt(np.trace(spread) / 20)
     two = commands.checked["two positions"]

@@ -31,6 +31,8 @@ LESS_KNOWN = 3.0
 """A calibration does not reach where positions are more than this many times as uncertain as at the used poses."""
 WIDENED = np.sqrt(2.0)
 """If joint terms make positions this many times as uncertain, most of the uncertainty comes from the terms."""
+UNMOVED = 1e-6
+"""Positions that are known to less than this have no unknown parameters [m]."""
 _TRIED = 50  # poses at which a joint is moved through its limits in the model
 _NO_VARIANCE = 1e-9  # part of each variance, added so that a singular matrix can be inverted
 _SAMPLED = 200  # poses at which uncertainties are computed
@@ -185,6 +187,24 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
     accuracy = _widening_sentence(fit, partial(_over_joint_ranges, fit))
     if accuracy:
         yield (f"not all of the joints' range was measured: over all of it, positions are known to {accuracy}")
+
+
+def positions_not_claimed(fit: Fit) -> Iterator[str]:
+    """Report how well positions are known if the claim is about other readings, which may hardly show them.
+
+    The joints have their measured values in new combinations: at contacts with one point, positions are equal.
+    """
+    part = fit.identification.main_part
+    if part.is_position:
+        return
+    slope = _slope(fit, recombined_joints(fit.identification.data.joints, _SAMPLED))
+    known = _size(slope, fit.uncertainty.covariance_of(fit.robot))
+    if known > UNMOVED:
+        yield (
+            f"positions of the tool: the claim is about {part.readings}. With the measured values of the joints in"
+            f" other combinations, positions are known to {quantity_text(known, 'mm', '.2g')} RMS, not counting where"
+            " the base stands"
+        )
 
 
 def _over_joint_ranges(fit: Fit) -> FloatArray:

@@ -190,21 +190,25 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
     order = () if seen_in_order else unordered(fit.identification.data)  # such a pattern says that rows are in order
     n_sample, n_poses = (each.identification.data.n_poses for each in (findings.sample_of_poses(fit), fit))
     fewer = f"a pattern that only more poses show: patterns and causes were judged on {n_sample} of {n_poses} poses"
-    lines = (*_scale(fit), *_whose_noise(fit), *_single_visits(fit), *order, *rules_reach.terms_beyond(fit))
-    return (*[fewer] * (n_sample < n_poses), *lines)
+    unseen = (*rules_reach.positions_not_claimed(fit), *_scale(fit), *_whose_noise(fit), *_single_visits(fit))
+    return (*[fewer] * (n_sample < n_poses), *unseen, *order, *rules_reach.terms_beyond(fit))
 
 
 def _scale(fit: Fit) -> Iterator[str]:
-    """Line on an error of all lengths (an instrument's scale, heat) that the measurements would not show."""
-    column = scales(findings.setting(fit))[:, :1]
-    if not np.any(column):
-        return
-    linear = findings.linear(fit)
-    least = linear.visible(column)
-    made = least * float(np.linalg.norm(column)) / np.sqrt(linear.freedom - linear.confirmed)
+    """Line on an error of all lengths (an instrument's scale, heat) that the measurements would not show.
+
+    Contacts at unknown places have no length, so they show none; angles need none.
+    """
+    column, linear = scales(findings.setting(fit))[:, :1], findings.linear(fit)
+    if np.any(column):
+        least, nothing = linear.visible(column), "nothing else"
+        made = least * float(np.linalg.norm(column)) / np.sqrt(linear.freedom - linear.confirmed)
+    else:
+        least = made = np.inf if any(group.part.dimension == "length" for group in fit.whitening.groups) else 0.0
+        nothing = "nothing"
     if made > NO_MATTER * linear.factor:
         below = f" below {float(f'{millimetres(least):.2g}'):g} mm in 1 m" if least < LARGEST else ""
-        yield f"a scale error{below}, of the instrument or from heat (nothing of known length was measured)"
+        yield f"a scale error{below}, of the instrument or from heat ({nothing} of known length was measured)"
 
 
 def _whose_noise(fit: Fit) -> Iterator[str]:

@@ -274,11 +274,43 @@ def test_the_score_for_rounding_is_that_of_whole_matrices(arm, truth):
 def test_a_scale_that_nothing_shows_is_named(tmp_path, prior_arm):
     free = calib.fit(prior_arm, noisy(prior_arm, joints(80), SIGMA, 1), sigma=SIGMA)
     (said,) = (text for text in free.verdict.not_covered if text.startswith("a scale error"))
-    assert "nothing of known length was measured" in said
+    assert "nothing else of known length was measured" in said
     yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
     robot = calib.load(write_six_axis(tmp_path, yaml))
     known = calib.fit(robot, noisy(robot, joints(3000), SIGMA, 1), sigma=SIGMA)
     assert not any("scale" in text for text in known.verdict.not_covered)
+
+
+PLACE = "places: {hole: {frame: l0, xyz: [0.6, 0.2, 0.5], position: unknown, sigma: 20 mm}}"
+PLATE = (
+    "artefact: {frame: l0, xyz: [0.6, 0.2, 0.5], pose: unknown, points: {p: [0, 0, 0], q: [0.2, 0, 0], r: [0, 0.2, 0]}}"
+)
+
+
+@pytest.mark.parametrize(("touched", "least_mm", "most_mm"), [(PLACE, 0.5, 5.0), (PLATE, 0.0, 0.2)])
+def test_a_claim_about_contacts_says_how_well_positions_are_known(tmp_path, touched, least_mm, most_mm):
+    """A robot that is 0.3 % too large: contacts with one point fit, and leave positions off by more than they claim."""
+    probe = f"instruments:\n  probe: {{kind: touch, target: ball, sigma: 0.02 mm, {touched}}}\n"
+    yaml = YAML.replace("parametrisation:", probe + "parametrisation:").replace(
+        "100 mm]}", "100 mm], position: unknown, sigma: 2 mm}"
+    )
+    robot = calib.load(write_six_axis(tmp_path, yaml + FREE))
+    lengths = [p for p in robot.parameters if p.dimension == "length" and p.name[0] in "jb"]  # of joints and ball
+    true = robot.with_parameters({p.name: 1.003 * p.nominal_si for p in lengths})
+    fit = calib.fit(robot, calib.simulate(true, calib.sample(robot, 90, seed=1), None, np.random.default_rng(3)))
+    assert fit.verdict.grade == "PASS"
+    assert not fit.verdict.claim.at_measured_poses.is_position
+    q = 0.5 * joints(200, 7)
+    predicted, positions = fit.robot.positions(q)[:, 0], true.positions(q)[:, 0]
+    off = 1e3 * np.sqrt(np.mean(np.sum((aligned(predicted, positions) - positions) ** 2, axis=1)))
+    (line,) = (text for text in fit.verdict.not_covered if text.startswith("positions of the tool"))
+    told = float(re.search(r"known to ([\d.]+) mm RMS", line)[1])
+    assert "the claim is about points of contact" in line
+    assert least_mm < told < most_mm
+    assert off < 2 * told
+    assert (off > 5e3 * fit.verdict.claim.at_measured_poses.limit95) == (touched == PLACE)
+    (scale,) = (text for text in fit.verdict.not_covered if text.startswith("a scale error"))
+    assert ("(nothing of known length" in scale) == (touched == PLACE)
 
 
 def test_noise_that_nobody_stated_may_be_the_robots(arm, truth):

@@ -31,6 +31,7 @@ from calib.core.robots.robot import Robot
 from calib.motion.shapes import Body, bodies_of, is_inside
 
 Pairs = tuple[tuple[int, int], ...]
+_EXACT = 1e-6  # error of distances [m]
 _ROUGH = 0.005
 """Triangles are measured only if the distance of their hulls minus the clearance is less than this [m]."""
 
@@ -88,9 +89,9 @@ class CollisionScene:
 
     @cached_property
     def margins(self) -> FloatArray:
-        """Clearance of each pair, (n_pairs,) [m]."""
+        """Clearance of each pair less the error of distances, so that a gap as wide as it is free, (n_pairs,) [m]."""
         kept = [max(self.bodies[a].clearance, self.bodies[b].clearance) for a, b in self.pairs]
-        return np.where([pair in self.without_clearance for pair in self.pairs], 0.0, kept)
+        return np.where([pair in self.without_clearance for pair in self.pairs], 0.0, np.maximum(kept, _EXACT) - _EXACT)
 
     @cached_property
     def _is_rough(self) -> BoolArray:

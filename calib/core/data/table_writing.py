@@ -2,6 +2,7 @@
 
 A spreadsheet runs text that starts like a formula. Such names are written with an apostrophe before them, which tells
 spreadsheets that they are text, and reading takes one away: `=1+1` is written as `'=1+1`, and `'=1+1` as `''=1+1`.
+Numbers, and numbers with a unit, are no formulas.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ _JSON = TypeAdapter(list[float])
 _LEAST_PLAIN, _BEYOND_PLAIN = 1e-4, 1e16  # where `repr` writes no exponent
 _ROWS = 1 << 12  # formatted together
 _NEEDS_QUOTES = re.compile(r'[,"\r\n]')
-_NUMBER = re.compile(r"[-+]?(\d+(?:\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+_QUANTITY = re.compile(r"[-+]?(\d+(?:\.\d*)?|\.\d+)([eE][-+]?\d+)?( [a-z]+)?", re.ASCII)
 _FORMULA = re.compile(r"'*[=+\-@\uff1d\uff0b\uff0d\uff20]")  # the last four: of full width
 _FORMULA_IN_COMMENT = re.compile(r"([,;\t])(?=[=@\uff1d\uff0b\uff0d\uff20]|[-+](?![\d.]))")
 Written = Sequence[tuple[str, Sequence[object] | FloatArray]]
@@ -82,7 +83,7 @@ def _format_numbers(values: FloatArray) -> list[str]:
 
 
 def _like_formula(text: str) -> bool:
-    return _FORMULA.match(text) is not None and _NUMBER.fullmatch(text) is None
+    return _FORMULA.match(text) is not None and _QUANTITY.fullmatch(text) is None
 
 
 def _quote_text(text: str) -> str:

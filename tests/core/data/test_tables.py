@@ -203,6 +203,10 @@ def test_no_name_is_a_formula_to_a_spreadsheet_and_every_name_reads_back(tmp_pat
     assert format_table([("pose", table.text("pose")), (name, [-1.5, 2.0])], table.comments) == path.read_text()
 
 
+def test_a_number_with_a_unit_is_no_formula():
+    assert format_table([("limit", ["-170.0 deg", "-1 cmd|"])]) == "limit\n-170.0 deg\n'-1 cmd|\n"
+
+
 def test_columns_of_different_length_cannot_be_written():
     with pytest.raises(ValueError):
         format_table([("a", [1.0]), ("b", [1.0, 2.0])])

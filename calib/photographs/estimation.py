@@ -55,7 +55,7 @@ _DECIDES = 1.0 - 1e-9  # if an image decides more than this part of a direction,
 
 @dataclass(frozen=True, eq=False)
 class LeftOutImages(ReadOnlyArrays):
-    """Errors of left-out images, predicted minus detected: pixels (m, 2) [px], and on the board (m, 2) [m]."""
+    """Left-out images: predicted minus detected pixels (m, 2) [px], and rays on the board minus points (m, 2) [m]."""
 
     pixels: FloatArray
     board: FloatArray

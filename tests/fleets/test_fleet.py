@@ -12,6 +12,7 @@ from click.testing import CliRunner
 import calib
 from calib.cli import group
 from calib.core.fitting.unseen_errors import left_out_ratio
+from calib.core.judging import findings
 from calib.core.numerics.prior import Prior
 from calib.fleets.hierarchy import FleetEvidence, compare_with_fleet, evidence_of_data, learn, learn_without_odd
 from tests.fleets import fleet_figures
@@ -164,6 +165,10 @@ def test_what_the_fleet_knows_of_the_noise_makes_no_pattern_of_it(tmp_path):
         fit = calib.fit(known, calib.simulate(truth, robot.sample(12, rng), seed=rng))
         assert "systematic" not in [reason.code for reason in fit.verdict.reasons]
         assert left_out_ratio(fit) < 2  # errors of left-out poses are as large as noise and covariance say
+        j, effect = fit.rows.jacobian, rng.standard_normal((len(fit.rows.residuals), 1))
+        left = effect - j @ np.linalg.solve(fit.rows.prior.add_to(j.T @ j), j.T @ effect)
+        deviation = 1.0 / np.sqrt(np.sum(effect * left))  # rows have the noise 1, which the fleet has confirmed
+        assert findings.linear(fit).sizes(effect)[1] == pytest.approx(deviation, rel=0.1)
 
 
 def check_minimum(fit, known, data):

@@ -5,7 +5,7 @@ import pytest
 
 from calib.photographs.estimation import estimate, plain
 from calib.photographs.intervals import arm_twists, intervals
-from calib.photographs.scene import POSES, HandEyePlacement, rows
+from calib.photographs.scene import POSES, HandEyePlacement, HandEyeUnknowns, rows
 from calib.photographs.shared_errors import EXPECTED, ErrorSizes, ImageRows
 from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, scene
 from tests.photographs.hand_eye_set_ups import covered, drawn, frames
@@ -36,9 +36,9 @@ def test_errors_of_the_arm_move_the_tool_as_those_of_its_denavit_hartenberg_tabl
 PLACED = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)
 
 
-def dense(case, noise, twists):
+def dense(case, noise, twists, unknowns=POSES):
     """Residuals, J, W-free covariance of residuals, H of an arm's errors: all rows at once."""
-    r, j, g = rows(case, PLACED)
+    r, j, g = rows(case, PLACED, unknowns)
     n = len(case)
     wide = np.zeros((*r.shape, 6 * n))
     for k, image in enumerate(case.image):
@@ -47,7 +47,7 @@ def dense(case, noise, twists):
     by_arm = wide @ twists.reshape(6 * n, -1)
     robot = np.tile(np.repeat([noise.shift**2, noise.turn**2], 3), n)
     own = noise.pixel**2 * np.eye(len(wide)) + (wide * robot) @ wide.T
-    return r.ravel(), j.reshape(-1, 12), own, by_arm
+    return r.ravel(), j.reshape(len(wide), -1), own, by_arm
 
 
 def restricted(case, noise, twists):
@@ -89,21 +89,28 @@ def test_the_sizes_are_those_of_the_restricted_likelihood_of_all_rows():
         assert abs(middle) < 0.03  # a cubic term, a tenth of the uncertainty
 
 
+FOCAL = HandEyeUnknowns((0, 1), INTRINSICS[:2], np.array([3.0, 5.0]))
+
+
+@pytest.mark.parametrize("unknowns", [POSES, FOCAL])
 @pytest.mark.parametrize("weights", [ErrorSizes(0.3), ErrorSizes(0.2, 4e-4, 2e-4)])
-def test_the_covariance_is_what_errors_of_each_size_do_to_the_estimate(weights):
+def test_the_covariance_is_what_errors_of_each_size_do_to_the_estimate(weights, unknowns):
+    """The errors of expected intrinsics count, too."""
     case = scene(n=6, shift=3e-4, turn=3e-4)
     twists, noise = arm_twists(case.tool), ErrorSizes(0.25, 3e-4, 2e-4, 5e-4)
-    of_images = ImageRows.from_scene(case, PLACED)
+    of_images = ImageRows.from_scene(case, PLACED, unknowns)
     at = of_images.find_sizes(twists).model.solve(logarithms(noise))
     covariance, freedom = intervals(of_images, twists, weights, at)
-    _, j, own, by_arm = dense(case, noise, twists)
-    of_weights = dense(case, weights, twists)[2]
+    _, j, own, by_arm = dense(case, noise, twists, unknowns)
+    of_weights, prior = dense(case, weights, twists)[2], np.diag(np.append(np.zeros(12), unknowns.sigma**-2.0))
     weighed = np.linalg.solve(of_weights, j)
-    estimator = np.linalg.solve(j.T @ weighed, weighed.T)
+    inverse = np.linalg.inv(j.T @ weighed + prior)
     whole = own + noise.arm**2 * by_arm @ by_arm.T
-    scales = POSES.scales
-    assert np.allclose(np.outer(scales, scales) * covariance, estimator @ whole @ estimator.T, rtol=1e-6, atol=1e-16)
-    assert np.all((freedom > 1) & (freedom < 36 + 24))  # errors of images and of the arm, at most
+    by_hand = inverse @ (weighed.T @ whole @ weighed + prior) @ inverse
+    scales = unknowns.scales
+    assert np.allclose(np.outer(scales, scales) * covariance, by_hand, rtol=1e-6, atol=1e-16)
+    assert np.all(freedom > 1)
+    assert np.all(freedom[:12] < 36 + 24)  # errors of images and of the arm, at most
 
 
 @pytest.mark.quick(0)

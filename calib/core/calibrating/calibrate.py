@@ -3,9 +3,9 @@
 Order of work: (1) joint terms, if requested, as large as readings show (`calib.core.fitting.terms.term_sizes`); a
 section of the description, such as that on a fleet, is left out where the readings contradict it; (2) the fit
 (`calib.core.fitting.fit`), already done in step 1 where no term was added, and without terms where the readings are too
-few for those of `--terms auto`; (3) if requested, outliers left out and all
-done again; (4) poses left out in turn for cross-validation, if requested, or where noise is so far above its statement
-that nothing else can prove the result.
+few for those of `--terms auto`; (3) if requested, the fit again without outliers, with the same terms; (4) poses left
+out in turn for cross-validation, if requested, or where noise is so far above its statement that nothing else can prove
+the result.
 
 Outliers to leave out are found with a robust loss, so that they cannot hide behind each other. A single reading is left
 out where the others of its visit agree, and a whole visit where they are off together (`calib.core.fitting.outliers`).

@@ -120,12 +120,16 @@ def repeatability(errors: ErrorSet) -> tuple[float, int]:
 
 
 def scatter_within_poses(errors: ErrorSet) -> float:
-    """Return the root mean square distance of a pose's readings from their mean [m], 0 where poses were read once."""
-    squares = [
-        np.sum((scatter.after - scatter.after.mean(axis=0)) ** 2) / len(scatter.after)
-        for scatter in _pose_scatters(errors)
-    ]
-    return float(np.sqrt(np.sum(squares) / errors.data.n_poses))
+    """Return the root mean square distance of a pose's positions from their mean [m], over all poses and targets.
+
+    A position that was read once at its pose counts as 0.
+    """
+    squares = 0.0
+    for scatter in _pose_scatters(errors):
+        n_read = np.maximum(np.sum(np.isfinite(scatter.after), axis=0), 1)
+        away = scatter.after - np.nansum(scatter.after, axis=0) / n_read
+        squares += float(np.nansum(away**2 / n_read))
+    return float(np.sqrt(squares / max(len(errors.errors("after")), 1)))
 
 
 def doubtful_repeats(errors: ErrorSet) -> str:

@@ -144,7 +144,7 @@ class SeenColumns(ReadOnlyArrays):
     """Columns other than those of families, then the components of families that the rows see.
 
     With w their coefficients, those of all columns are u = B w. B has orthonormal columns. Components that rows do not
-    see keep the mean of their prior, whatever the size of the family is.
+    see keep the mean of their prior, whatever the size of the family is. Each family has at least one component.
 
     Attributes:
         parts: Columns other than those of families, and each family.
@@ -170,7 +170,9 @@ class SeenColumns(ReadOnlyArrays):
         for number in range(int(np.max(family, initial=-1)) + 1):
             members = np.flatnonzero(family == number)
             aside, shortest = (_ASIDE, 0.0) if least is None else (0.0, least)
-            parts.append(FamilyPart.from_columns(members, rows[:, members], number, shortest, aside))
+            part = FamilyPart.from_columns(members, rows[:, members], number, shortest, aside)
+            any_of_them = np.eye(len(members), 1)  # each family has a component, if rows see none of them
+            parts.append(part if part.kept.size else replace(part, kept=any_of_them))
         numbers = np.repeat([part.family for part in parts], [part.kept.shape[1] for part in parts])
         known = prior.select(others)  # families have independent priors
         return SeenColumns(tuple(parts), replace(known, has=np.append(known.has, numbers[len(others) :] >= 0)), numbers)

@@ -297,7 +297,8 @@ def information_by_size(at: SolvedModel) -> FloatArray:
     more[:n] += 2.0 / (1.0 + sizes[:n] ** 2) ** 2
     squares, freedom = at.squares_and_freedom
     largest = (squares / np.maximum(freedom, _LEAST_FREEDOM))[at.model.unstated_groups]
-    more[n:] += 1.0 / np.maximum(np.append(largest, [at.scatter_of_residuals**2] * at.model.scatters), _NOTHING)
+    largest = np.append(largest, [at.scatter_of_residuals**2] * at.model.scatters)
+    more[n:] += 1.0 / np.clip(largest, _NOTHING, 1.0 / _NOTHING)  # infinite where nothing that scatters moves a row
     return information + np.diag(more)
 
 

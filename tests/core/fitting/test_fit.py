@@ -14,6 +14,7 @@ from calib.core.fitting.settings import Settings
 from calib.core.fitting.solved_fit import Convergence
 from calib.core.fitting.solving import convergence_at, place, solve_from, uncertainty_at
 from calib.core.fitting.terms.candidate_terms import missing_terms
+from calib.core.numerics.size_search import variance_by_sizes
 from calib.core.results.result_reading import load_result, read_content
 from calib.core.results.results import save
 from calib.core.robots.terms.terms import parse_terms
@@ -68,6 +69,23 @@ def test_the_message_says_what_the_step_that_is_left_says(arm, off, stopped):
     assert ("no parameter would still move by more than" in end.message) is (end.converged and not stopped)
     assert ("no longer changes, but " in end.message) is (stopped and not end.converged)
     assert ("limit" in end.message) is (not stopped and not end.converged)
+
+
+@pytest.mark.parametrize("loss", ["none", "huber"])
+def test_the_covariance_with_curves_is_that_of_all_coefficients(prior_arm, loss):
+    """Dense algebra of every coefficient: there are more than rows, so that the readings show only some of them."""
+    robot = prior_arm.with_terms(parse_terms("curve"))
+    q = joints(30)
+    fit = calib.fit(robot, noisy(prior_arm, q + 1e-3 * np.sin(2 * q), SIGMA, 1), loss=loss)
+    rows, factors, family = fit.rows, fit.statistics.factors, fit.unknowns.family
+    assert len(family) > 3 * len(rows.residuals)
+    prior, of_rows = np.diag(1.0 * rows.prior.has), rows.jacobian.T @ rows.jacobian
+    known = np.linalg.inv(factors.slope * of_rows + prior)
+    whole = known @ (prior + (factors.slope * factors.effective[0]) ** 2 * of_rows) @ known
+    whole += variance_by_sizes(known, family, rows.deviations)
+    expected = fit.unknowns.scales * np.sqrt(np.diag(whole))
+    assert fit.statistics.shared_scatter is None
+    np.testing.assert_allclose(fit.statistics.std, expected, rtol=2e-3)
 
 
 def test_without_priors_the_stated_noise_changes_no_parameter(arm):

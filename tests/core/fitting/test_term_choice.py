@@ -129,6 +129,17 @@ def sure(fit):
     return {trial.term for trial in fit.terms.trials if trial.proven}
 
 
+def test_a_fit_without_outliers_keeps_the_terms_that_were_added(robot):
+    _, data, _ = simulated(robot, ("gain", "backlash"), np.random.default_rng(5), n=40)
+    ((name, readings),) = data.readings.items()
+    values = readings.values.copy()
+    values[7] += 1e-3
+    data = replace(data, readings={name: replace(readings, values=values)})
+    fit = calib.fit(robot, data, terms="auto", exclude_outliers=True)
+    assert [outlier.pose for outlier in fit.excluded] == [7]
+    assert {name.rpartition(".")[2] for name in fit.free_names} >= {"gain", "backlash"}
+
+
 def test_what_is_there_is_added_and_nothing_else(robot):
     true, data, _ = simulated(robot, ("gain", "backlash"), np.random.default_rng(5), n=40)
     fit = calib.fit(robot, data, terms="auto")

@@ -46,16 +46,17 @@ def test_poses_left_out_one_by_one_are_those_of_refits(arm, loss):
         np.testing.assert_allclose(told[k], again.validation.after["ball"][0], atol=2e-7, rtol=2e-3)
 
 
-@pytest.mark.parametrize("gaps", [0, 12])
-def test_left_out_poses_are_further_off_than_noise_explains_by_their_errors(arm, monkeypatch, gaps):
+@pytest.mark.parametrize(("gaps", "loss"), [(0, "none"), (12, "none"), (0, "tukey")])
+def test_left_out_poses_are_further_off_than_noise_explains_by_their_errors(arm, monkeypatch, gaps, loss):
     """Used and left-out errors together are what noise is to independent poses: n f^2 for n rows that were read."""
     data = noisy(arm, joints(30), SIGMA, 8)
     values = data.readings["ball"].values.copy()
     values[:gaps, 1] = np.nan
     data = replace(data, readings={"ball": replace(data.readings["ball"], values=values)})
-    fit = calib.fit(arm, data, sigma=SIGMA)
+    fit = calib.fit(arm, data, sigma=SIGMA, loss=loss)
     used, left_out = fit.identification.after["ball"], leave_one_out_errors(fit).after["ball"]
-    more = np.nanmean(used * left_out) / (np.nansum(used**2) / fit.statistics.freedom)
+    weights = fit.weights[:, None]
+    more = np.nanmean(weights * used * left_out) / (np.nansum(weights * used**2) / fit.statistics.freedom)
     assert left_out_ratio(fit) == 1.0  # chance explains it
     monkeypatch.setattr("calib.core.fitting.unseen_errors.HARDLY", 1.1)
     assert more > 1.0

@@ -8,9 +8,14 @@ import pytest
 import calib
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.judging.reasons import Code
-from calib.core.judging.repeatability import pose_error_over_repeatability, repeat_table, repeatability
+from calib.core.judging.repeatability import (
+    pose_error_over_repeatability,
+    repeat_table,
+    repeatability,
+    scatter_within_poses,
+)
 from calib.core.results.result_content import to_dict
-from tests.six_axis_arm import YAML, joints, write_six_axis
+from tests.six_axis_arm import FREE, YAML, joints, write_six_axis
 
 
 def errors_of(arm, names, before, after):
@@ -43,6 +48,18 @@ def test_repeatability_pools_the_repeats_by_their_degrees_of_freedom(arm):
     std, result = repeatability(errors_of(arm, names, errors, errors))
     assert std == pytest.approx(1e-3 * np.sqrt(squares / freedom), rel=1e-12)
     assert result == freedom
+
+
+def test_the_scatter_within_poses_counts_each_pose_of_each_target_once(tmp_path):
+    """Two targets at two poses; the tool is read twice at the first, 2 mm apart, once without its z."""
+    both = "targets:\n  tip: {frame: l6, xyz: [0 mm, 0 mm, 90 mm]}\n  ball"
+    arm = calib.load(write_six_axis(tmp_path, YAML.replace("targets:\n  ball", both) + FREE))
+    data = calib.as_measurements(arm, np.full((3, 6), 0.1), np.zeros((3, 2, 3)), ["a", "a", "b"])
+    one = 1e-3 * np.array([[1.0, 0.0, np.nan], [-1.0, 0.0, 5.0], [9.0, 9.0, 9.0]])
+    other = 1e-3 * np.array([[4.0, 1.0, 7.0], [4.0, -1.0, 7.0], [0.0, 0.0, 0.0]])
+    errors = {"tip": one, "ball": other}
+    found = scatter_within_poses(ErrorSet(data, arm.instruments, errors, errors, np.full(3, np.inf)))
+    assert found == pytest.approx(1e-3 * np.sqrt((1.0 + 0.0 + 1.0 + 0.0) / 4))
 
 
 def test_without_repeats_there_is_no_table_and_no_repeatability(arm):

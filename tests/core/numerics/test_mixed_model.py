@@ -382,6 +382,13 @@ def test_the_scatter_depends_on_no_component_that_a_solution_omits(small):
     assert scatter_given_noise(few) == pytest.approx(scatter_given_noise(every), rel=1e-9)
 
 
+def test_of_a_scatter_that_moves_no_row_any_size_is_drawn():
+    rng = np.random.default_rng(0)
+    columns, pose = rng.normal(size=(60, 4)), np.repeat(np.arange(20), 3)
+    rows = of_one_group(columns, rng.normal(size=60), [0, 0, FLAT, FLAT], pose=pose, levers=np.zeros((60, 2)))
+    assert np.all(np.isfinite(draw_sizes(likeliest_sizes(MixedModel.from_rows(rows)), 5, rng)))
+
+
 @pytest.mark.parametrize("n_levers", [2, 7])
 def test_rows_with_scatter_are_whitened_by_the_root_of_their_covariance(n_levers):
     levers = np.random.default_rng(2).standard_normal((8, n_levers))

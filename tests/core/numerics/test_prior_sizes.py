@@ -130,3 +130,22 @@ def test_the_covariance_of_what_rows_see_gives_that_of_all_coefficients():
     known, of_seen = total(seen.combine(rows), seen.family, seen.combine(u))
     unseen = unseen_variances(known, seen.family)
     np.testing.assert_allclose(seen.covariance(of_seen, unseen), total(rows, family, u)[1], atol=1e-10)
+
+
+@pytest.mark.parametrize("family", [[0, 0, -1, 1, 1], [1, 1, -1, 0, 0]])
+@pytest.mark.parametrize("least", [None, 1e-3])
+def test_a_family_of_which_rows_see_nothing_keeps_the_variance_of_its_prior_and_of_its_size(family, least):
+    family = np.array(family)
+    rows = np.random.default_rng(5).standard_normal((30, 5))
+    rows[:, 3:] = 0.0
+    residuals, prior, unseen_family = rows[:, 0] + 0.5, Prior(family >= 0), family[3]
+    seen = SeenColumns.from_rows(rows, prior, family, least)
+    known = np.linalg.inv(seen.combine(rows).T @ seen.combine(rows) + np.diag(1.0 * seen.prior.has))
+    unseen = unseen_variances(known, seen.family)
+    of_seen = known + variance_by_sizes(known, seen.family, np.zeros(len(seen.family)))
+    assert unseen[unseen_family] == pytest.approx(3.0)  # 1 + 2 t^2 with t = 1, the deviation that the prior leaves
+    np.testing.assert_allclose(seen.covariance(of_seen, unseen)[3:, 3:], 3.0 * np.eye(2), atol=1e-12)
+    model = LinearModel(residuals, rows, prior, np.zeros(5), RowGroups.from_groups(np.zeros(30, dtype=np.intp), 1))
+    scales, sizes = find_sizes(model, np.ones(1), np.array([True]), family, np.ones(2))
+    assert len(sizes) == 2
+    assert np.all(np.isfinite([*scales, *sizes]))

@@ -74,7 +74,7 @@ class TermTrial:
         size: Size of its coefficients over the usual size, the largest of its joints.
         size95: The 95 % interval of `size`.
         joints: Joints for which it is fitted, where each has its own size.
-        refusal: Why the measurements cannot show it; empty where they can.
+        refusal: Why the measurements cannot show it, or are too few to fit it; empty where neither holds.
     """
 
     term: str

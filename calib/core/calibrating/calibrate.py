@@ -3,9 +3,8 @@
 Order of work: (1) joint terms, if requested, as large as readings show (`calib.core.fitting.terms.term_sizes`); a
 section of the description, such as that on a fleet, is left out where the readings contradict it; (2) the fit
 (`calib.core.fitting.fit`), already done in step 1 where no term was added, and without terms where the readings are too
-few for those of `--terms auto`; (3) if requested, the fit again without outliers, with the same terms; (4) poses left
-out in turn for cross-validation, if requested, or where noise is so far above its statement that nothing else can prove
-the result.
+few for those of `--terms auto`; (3) if requested, both again without outliers; (4) poses left out in turn for
+cross-validation, if requested, or where noise is so far above its statement that nothing else can prove the result.
 
 Outliers to leave out are found with a robust loss, so that they cannot hide behind each other. A single reading is left
 out where the others of its visit agree, and a whole visit where they are off together (`calib.core.fitting.outliers`).
@@ -99,31 +98,34 @@ def _run_steps(
     n_steps = _OF_ONE_FIT + settings.starts - 1 + n_folds(data, settings.folds)
     n_steps += (_OF_ONE_FIT + 1) * (settings.terms == "auto")
     steps.expect(n_steps)
-    fit_once = partial(_fit_with_terms, robot, data, validation, settings, workers, steps)
-    try:
+
+    def fit_readings(some: Measurements) -> Fit:
+        fit_once = partial(_fit_with_terms, robot, some, validation, settings, workers, steps)
         try:
-            fit = fit_once()
+            return fit_once()
         except NotIdentifiableError:
             if settings.terms != "auto":
                 raise
             steps.restart(n_steps)
-            fit = fit_once(adds_terms=False)
+            return fit_once(adds_terms=False)
+
+    try:
+        fit = fit_readings(data)
     except (UnreachablePoseError, ComputationError) as error:
         mistake = likely_mistake(robot, data) or zeros_in_words(data, robot)
         raise type(error)(f"{error}{'; ' if mistake else ''}{mistake}") from None
-    robot, choice = fit.nominal, fit.terms
     plain = replace(settings, starts=1)
     if settings.exclude_outliers:
 
-        def fit_again(kept: Measurements, how: Settings) -> Fit:
-            steps.expect(_OF_ONE_FIT + how.starts - 1)
-            return fit_data(robot, how, kept, validation, workers, steps)
+        def fit_kept(kept: Measurements) -> Fit:
+            steps.expect(n_steps - n_folds(data, settings.folds))
+            return fit_readings(kept)
 
-        fit = _without_outliers(
-            fit,
-            robust=lambda: fit_again(data, replace(plain, loss="tukey")),
-            again=lambda kept: fit_again(kept, settings),
-        )
+        def fit_robustly() -> Fit:
+            steps.expect(_OF_ONE_FIT)
+            return fit_data(fit.nominal, replace(plain, loss="tukey"), data, validation, workers, steps)
+
+        fit = _without_outliers(fit, fit_robustly, fit_kept)
     leave_out = partial(
         cross_validate, fit.identification.data, seed=settings.seed, fit=fit_of_a_part(fit, plain), executor=workers
     )
@@ -133,7 +135,7 @@ def _run_steps(
         steps.expect(PROVING)
         with suppress(CalibrationError):  # too few poses to leave some out: then nothing is proven
             fit = replace(fit, folds=leave_out(PROVING, progress=steps.advance))
-    return replace(fit, terms=choice)
+    return fit
 
 
 def _fit_with_terms(

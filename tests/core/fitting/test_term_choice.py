@@ -129,15 +129,19 @@ def sure(fit):
     return {trial.term for trial in fit.terms.trials if trial.proven}
 
 
-def test_a_fit_without_outliers_keeps_the_terms_that_were_added(robot):
+@pytest.mark.parametrize("off", [1e-3, 3e-3])
+def test_a_wrong_reading_that_is_left_out_hides_no_terms(robot, off):
     _, data, _ = simulated(robot, ("gain", "backlash"), np.random.default_rng(5), n=40)
     ((name, readings),) = data.readings.items()
     values = readings.values.copy()
-    values[7] += 1e-3
+    values[7] += off
+    steps = []
     data = replace(data, readings={name: replace(readings, values=values)})
-    fit = calib.fit(robot, data, terms="auto", exclude_outliers=True)
+    fit = calib.fit(robot, data, terms="auto", exclude_outliers=True, progress=lambda *counts: steps.append(counts))
     assert [outlier.pose for outlier in fit.excluded] == [7]
+    assert {trial.term for trial in fit.terms.trials if trial.added} == {"gain", "backlash"}
     assert {name.rpartition(".")[2] for name in fit.free_names} >= {"gain", "backlash"}
+    assert steps[-1][0] == steps[-1][1]
 
 
 def test_what_is_there_is_added_and_nothing_else(robot):

@@ -10,19 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from typing import TypeVar
+from typing import Concatenate, ParamSpec, TypeVar
 
 Thing = TypeVar("Thing")
+More = ParamSpec("More")
 Answer = TypeVar("Answer")
 
 
-def memoize(function: Callable[[Thing], Answer]) -> Callable[[Thing], Answer]:
-    """Make a function of one object remember its answer for each object."""
+def memoize(function: Callable[Concatenate[Thing, More], Answer]) -> Callable[Concatenate[Thing, More], Answer]:
+    """Make a function of one object, and of others that belong to it, remember its answer for each object."""
     key = f"{function.__module__}.{function.__qualname__}"
 
     @wraps(function)
-    def answer(thing: Thing) -> Answer:
+    def answer(thing: Thing, /, *more: More.args, **named: More.kwargs) -> Answer:
         known = vars(thing)
-        return known[key] if key in known else known.setdefault(key, function(thing))
+        return known[key] if key in known else known.setdefault(key, function(thing, *more, **named))
 
     return answer

@@ -44,7 +44,9 @@ from calib.core.fitting.validation import readings_at
 from calib.core.numerics.chances import HARDLY
 from calib.core.numerics.clusters import shifts_without_block
 from calib.core.numerics.statistics import chi_square
+from calib.core.numerics.tall import Span
 from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
+from calib.core.rows.rows import Rows
 
 COVERED = 0.95
 """Chance of `Accuracy.limit95`."""
@@ -73,8 +75,8 @@ def accuracy(fit: Fit) -> Accuracy:
 
 def accuracy_of_errors(errors: ErrorSet, poses: PoseUse) -> Accuracy:
     """Return the size of errors before and after calibration at these poses."""
-    part, limit = errors.main_part, limit95(np.sqrt(errors.squares("after")))
-    numbers = errors.rms("before"), errors.rms("after"), limit
+    part, squares = errors.main_part, errors.squares("after")
+    numbers = errors.rms("before"), float(np.sqrt(np.mean(squares))), limit95(np.sqrt(squares))
     return Accuracy(poses, errors.data.n_poses, part.name, part.dimension, *numbers, part.is_position, part.readings)
 
 
@@ -91,7 +93,7 @@ def limit95(lengths: FloatArray) -> float:
 @one_blas_thread
 def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
     """Return errors of used poses, each predicted by the fit of all others; None if no pose can be predicted."""
-    data, (moved, decided) = fit.identification.data, _prediction_shifts(fit)
+    data, (moved, decided) = fit.identification.data, _prediction_shifts(fit.weighted_rows, fit.span)
     read = fit.whitening.unwhiten_rows(moved, fit.scales)
     after = {name: errors + read.get(name, 0.0) for name, errors in fit.identification.after.items()}
     predictable = np.isin(data.pose_numbers, np.flatnonzero(decided > _DECIDES), invert=True)
@@ -100,10 +102,12 @@ def leave_one_out_errors(fit: Fit) -> ErrorSet | None:
 
 
 @memoize
-def _prediction_shifts(fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Shifts of whitened rows where their pose is left out, (n_rows,), and the largest part that each pose decides."""
-    rows = fit.weighted_rows
-    return shifts_without_block(rows.span, rows.layout.pose_of_row, rows.residuals, seen=fit.span, alone=_DECIDES)
+def _prediction_shifts(rows: Rows, seen: Span) -> tuple[FloatArray, FloatArray]:
+    """Shifts of whitened rows where their pose is left out, (n_rows,), and the largest part that each pose decides.
+
+    Copies of a fit share them, as they hold the same rows.
+    """
+    return shifts_without_block(rows.span, rows.layout.pose_of_row, rows.residuals, seen=seen, alone=_DECIDES)
 
 
 def left_out_ratio(fit: Fit) -> float:
@@ -116,7 +120,7 @@ def left_out_ratio(fit: Fit) -> float:
     square = float(np.sum(rows.residuals**2)) + fit.statistics.factors.confirmed
     if fit.computed or not (freedom > 0 and square > 0):
         return 1.0
-    (moved, decided), layout = _prediction_shifts(fit), rows.layout
+    (moved, decided), layout = _prediction_shifts(rows, fit.span), rows.layout
     kept = (layout.group >= 0) & ~np.isin(layout.pose_of_row, np.flatnonzero(decided > _DECIDES))
     r, moved = rows.residuals[kept], (np.sqrt(fit.weights)[layout.reading] * moved)[kept]
     more = float(r @ (r + moved)) / max(len(r), 1) * freedom / square

@@ -229,10 +229,10 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
 
 def _single_visits(fit: Fit) -> Iterator[str]:
     """Line on the error of single visits, where that of the mean of a pose's visits, which is claimed, is smaller."""
-    predicted = leave_one_out_errors(fit)
-    if predicted is not None and predicted.main_part.is_position:
+    spread, predicted = scatter_within_poses(fit.identification), leave_one_out_errors(fit)
+    if spread > 0.0 and predicted is not None and predicted.main_part.is_position:
         claimed = predicted.rms("after")
-        single = float(np.hypot(claimed, scatter_within_poses(fit.identification)))
+        single = float(np.hypot(claimed, spread))
         if single > MORE * claimed:
             yield (
                 "scatter of repeats: the claim is about the mean of a pose's repeats. A single one is off by"

@@ -253,7 +253,7 @@ def _slope(fit: Fit, q: FloatArray, context: Context | None = None) -> FloatArra
 
 def _size(slope: FloatArray, covariance: FloatArray) -> float:
     """Root mean square uncertainty of positions with this derivative (3 n, n_uncertain) [m]; 0 where there are none."""
-    spread = np.sum((slope @ covariance) * slope)
+    spread = np.vdot(slope.T @ slope, covariance)  # a product with its own transpose: half of the work
     return float(np.sqrt(max(3.0 * float(spread) / max(len(slope), 1), 0.0)))
 
 

@@ -129,8 +129,10 @@ def _descend(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: floa
         at = better
         if gain < least_gain:
             break
-    falling = (at.gradient + _prior(at)[1] > 0.0) & (at.logs < bounds.first + np.log(_SMALL)) & ~none
+    falling = (at.logs < bounds.first + np.log(_SMALL)) & (at.logs > bounds.least + _AT_BOUND) & ~none
     falling[model.n_families : model.n_families + len(model.unstated_groups)] = False  # noise is never zero
+    if np.any(falling):
+        falling &= at.gradient + _prior(at)[1] > 0.0
     without = model.solve(np.where(falling, bounds.least, at.logs)) if np.any(falling) else at
     return without if _cost(without) <= _cost(at) else at
 

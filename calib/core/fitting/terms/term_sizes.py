@@ -143,7 +143,8 @@ class _TermModel:
             solved = likeliest_sizes(
                 full.model, np.where(np.isneginf(near), full.logs, near), self._absent(kinds), _ROUGH
             )
-            self._solved[kinds] = replace(solved)  # without the cached matrices, which take memory
+            self._solved = {of: replace(at) for of, at in self._solved.items()}  # cached matrices take memory
+            self._solved[kinds] = solved
         return self._solved[kinds]
 
     def _absent(self, kinds: frozenset[str]) -> BoolArray:
@@ -155,8 +156,8 @@ class _TermModel:
         if kinds not in self._left_out:
             sums = self._solve_with_kinds(frozenset()).squares_and_freedom[0]
             counts = np.bincount(self._rows.group, minlength=len(sums))
-            at = replace(self._solve_with_kinds(kinds))  # whose cached matrices are not kept
-            self._left_out[kinds] = at.left_out_squares(self._blocks, counts / np.where(sums > 0.0, sums, np.inf))
+            weights = counts / np.where(sums > 0.0, sums, np.inf)
+            self._left_out[kinds] = self._solve_with_kinds(kinds).left_out_squares(self._blocks, weights)
         return self._left_out[kinds]
 
     def _earns(self, kind: str, kinds: frozenset[str]) -> bool:

@@ -279,12 +279,16 @@ class SolvedModel(ReadOnlyArrays):
     def gradient(self) -> FloatArray:
         """Gradient of `cost` by the logarithms of the sizes, (n_sizes,)."""
         of_families = self._members @ (1.0 - self._unseen_part - self.v**2)
-        return np.concatenate(
-            [
-                of_families,
-                0.5 * self._shares @ (self.model.rows.stands_for - self._leverage - self.whitened_residuals**2),
-            ]
-        )
+        squares = self.model.rows.stands_for - self.whitened_residuals**2
+        return np.concatenate([of_families, 0.5 * (self._shares @ squares - self._shared_leverage)])
+
+    @property
+    def _shared_leverage(self) -> FloatArray:
+        """Sums of w h over the rows, (n_noise,)."""
+        if self.model.scatters or len(self.model.rows.has_stated_noise) > 1:
+            return self._shares @ self._leverage
+        decided = len(self.seen) - self.model.has_prior[self.seen] @ self._unseen_part  # w is alike in all rows
+        return np.asarray(self._shares[:, 0] * decided)
 
     @cached_property
     def information(self) -> FloatArray:

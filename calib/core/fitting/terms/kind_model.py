@@ -125,10 +125,12 @@ class KindModel:
             robot: The robot of the fit.
         """
         at = model.solve(fitted)
-        added, before = -at.covariance, at.condensed_coefficients
+        covariance, steps, before = np.zeros((len(at.scale),) * 2), list[FloatArray](), at.condensed_coefficients
         for solved in map(model.solve, others):
-            step = solved.condensed_coefficients - before
-            added += (solved.covariance + np.outer(step, step)) / len(others)
+            covariance += solved.covariance
+            steps.append(solved.condensed_coefficients - before)
+        moves = np.array(steps)
+        added = (covariance + moves.T @ moves) / len(others) - at.covariance
         moved = np.flatnonzero(np.diag(added))  # the others are in no set of sizes
         sizes = np.linalg.norm(model.x[:, moved], axis=0) + 1e-30
         values, vectors = linalg.eigh(sizes[:, None] * added[np.ix_(moved, moved)] * sizes)

@@ -69,10 +69,11 @@ class PoseScatter:
 def _pose_scatters(errors: ErrorSet, part_name: str = "") -> list[PoseScatter]:
     """Errors (n, 3) of a part, else of positions, at poses that were read more than once."""
     result = []
+    numbers = repeats(errors.data)
     for instrument, part, rows in errors.parts():
         if part.name != part_name if part_name else not part.is_position:
             continue
-        all_visits, number = errors.data.readings[instrument.name].visits, repeats(errors.data)[instrument.name][1]
+        all_visits, number = errors.data.readings[instrument.name].visits, numbers[instrument.name][1]
         count = np.bincount(number)
         several = np.flatnonzero(count[number] > 1)
         several = several[np.argsort(number[several], kind="stable")]

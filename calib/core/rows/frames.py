@@ -101,7 +101,7 @@ class ReportedUncertainty(ReadOnlyArrays):
         """Derivative of the common motion z by the uncertain quantities, (k, n_uncertain)."""
         assert self.motion is not None
         joints = self.motion.joints
-        linear = self.uncertainty.linearise(self.robot, joints, Context.neutral(*joints.shape))
+        linear = self.uncertainty.linearise(self.robot, joints, Context.neutral(*joints.shape), turns=False)
         return self.motion.following(linear.jacobian) * self.uncertainty.lasting(self.robot)
 
     def _common(self, linear: UncertaintyJacobian) -> tuple[FloatArray, FloatArray]:

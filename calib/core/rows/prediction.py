@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadAsArray, ReadOnlyArrays, evenly_spread, hold
 from calib.core.base.contributions import Contributions
+from calib.core.base.memoize import memoize
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.numerics import linalg
@@ -315,6 +316,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         """Extend a mask of free parameters that count, (n_free,), by all other uncertain quantities, (n_uncertain,)."""
         return np.append(counts, np.ones(len(self._undecided_names(robot)) + self._n_errors(robot), dtype=bool))
 
+    @memoize
     def covariance_of(self, robot: Robot) -> FloatArray:
         """Return the covariance of all uncertain quantities of a calibrated robot, (n_uncertain, n_uncertain) [SI]."""
         if self.undecided is None and self.joint_error == 0.0:

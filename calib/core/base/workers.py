@@ -97,7 +97,7 @@ def _result(
                 ) from lost
             for other, sent in futures.items():
                 if sent is not None and sent.done() and (sent.cancelled() or sent.exception() is not None):
-                    futures[other] = _try_send(_plainly(executor, function), items[other])
+                    futures[other] = _try_send(partial(executor.submit, partial(_answer, function)), items[other])
             continue
         if succeeded:
             return cast(Result, result)
@@ -107,16 +107,11 @@ def _result(
 
 def _sender(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
     """A function that sends an item to the workers: without `function`, if the workers hold that already."""
-    if isinstance(executor, Processes):
-        return executor.holding(partial(_answer, function))
     client = getattr(executor, "_client", None)  # executors of Dask have one
     if hasattr(client, "scatter"):
-        return _plainly(executor, cast(Any, client).scatter(function, broadcast=True, hash=False))
-    return _plainly(executor, function)
-
-
-def _plainly(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
-    return lambda item: executor.submit(_answer, function, item)
+        held = cast(Any, client).scatter(function, broadcast=True, hash=False)
+        return lambda item: executor.submit(_answer, held, item)
+    return partial(executor.submit, partial(_answer, function))
 
 
 def _try_send(send: _Send[Item], item: Item) -> _Sent:

@@ -10,13 +10,9 @@ independent error of each joint at each pose, as large as residuals show (`calib
 
     covariance of x(q)  =  B C B^T + delta^2 K K^T,      K = d(position)/d(joints), scaled
 
-The robot's repeatability is not included.
-
-Every uncertainty of positions comes from here (`ParameterUncertainty`): of `predict`, `compensate`, `solve`, `watch`,
-`study` and `verify`.
-
-Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
-(`UndecidedTerms`). They join the free parameters in C and in B, with their correlations.
+The robot's repeatability is not included. Joint terms that a choice left out, and that the data do not exclude, have
+coefficients that are zero and uncertain (`UndecidedTerms`). They join the free parameters in C and in B, with their
+correlations.
 
 Reference: jcgm100 (GUM), section 5.2.
 """
@@ -241,10 +237,6 @@ class UndecidedTerms(ReadOnlyArrays):
     names: tuple[str, ...]
     spread: FloatArray
 
-    def with_terms(self, robot: Robot) -> Robot:
-        """Return a robot with these terms added, their coefficients zero."""
-        return robot.with_terms((*robot.description.terms, *self.terms))
-
     def sensitivity_of(self, names: Sequence[str]) -> FloatArray:
         """Return the rows of S (`spread`) of these parameters, (n, k); 0 for those that are not in `names`."""
         place = {name: k for k, name in enumerate(self.names)}
@@ -299,21 +291,22 @@ class ParameterUncertainty(ReadOnlyArrays):
 
     def with_undecided_terms(self, robot: Robot) -> Robot:
         """Return a robot with the undecided joint terms added, their coefficients zero."""
-        return robot if self.undecided is None else self.undecided.with_terms(robot)
+        return robot if self.undecided is None else robot.with_terms((*robot.description.terms, *self.undecided.terms))
 
     def lasting_names(self, robot: Robot) -> list[str]:
         """Return the uncertain parameters of a robot with undecided terms: the free ones, then coefficients."""
         free = [p.name for p, use in zip(robot.parameters, self.free, strict=True) if use]
-        return [*free, *self._undecided_names(robot)]
+        own = {p.name for p in robot.parameters}
+        return free + [name for name in (self.undecided.names if self.undecided else ()) if name not in own]
 
     def lasting(self, robot: Robot) -> BoolArray:
         """Return a mask of the uncertain quantities that are the same at every pose, (n_uncertain,)."""
-        n_lasting = len(self.lasting_names(robot))
-        return np.arange(n_lasting + self._n_errors(robot)) < n_lasting
+        n_errors = len(robot.joint_names) if self.joint_error > 0.0 else 0
+        return np.repeat([True, False], [len(self.lasting_names(robot)), n_errors])
 
     def counting(self, robot: Robot, counts: BoolArray) -> BoolArray:
         """Extend a mask of free parameters that count, (n_free,), by all other uncertain quantities, (n_uncertain,)."""
-        return np.append(counts, np.ones(len(self._undecided_names(robot)) + self._n_errors(robot), dtype=bool))
+        return np.append(counts, np.ones(len(self.lasting(robot)) - len(counts), dtype=bool))
 
     def covariance_of(self, robot: Robot) -> FloatArray:
         """Return the covariance of all uncertain quantities of a calibrated robot, (n_uncertain, n_uncertain) [SI]."""
@@ -349,13 +342,6 @@ class ParameterUncertainty(ReadOnlyArrays):
             jacobian = np.concatenate([jacobian, linear.joint_derivative * whole.mechanism.joint_scale], axis=-1)
         hold(jacobian)
         return UncertaintyJacobian(whole, configurations, linear.positions, jacobian)
-
-    def _n_errors(self, robot: Robot) -> int:
-        return len(robot.joint_names) if self.joint_error > 0.0 else 0
-
-    def _undecided_names(self, robot: Robot) -> tuple[str, ...]:
-        has = {p.name for p in robot.parameters}
-        return () if self.undecided is None else tuple(name for name in self.undecided.names if name not in has)
 
     def predict(
         self,
@@ -404,15 +390,15 @@ class ParameterUncertainty(ReadOnlyArrays):
                 for covariance, rows in zip(to, ROWS, strict=False):
                     covariance[some] = spread[:, :, rows] @ derivative[:, :, rows].swapaxes(2, 3)
         hold(points, *whole, *without_common)
-        predicted, measured = (
-            PositionUncertainty(
-                points,
-                own[0],
-                self.coverage_factor,
-                own[1] if turns else None,
-                robot.unreported_targets,
-                contains=self.contains,
-            )
-            for own in (without_common, whole)
+        measured = PositionUncertainty(
+            points,
+            whole[0],
+            self.coverage_factor,
+            whole[1] if turns else None,
+            robot.unreported_targets,
+            contains=self.contains,
         )
-        return measured if common is None else replace(predicted, measured=measured)
+        if common is None:
+            return measured
+        turned = without_common[1] if turns else None
+        return replace(measured, covariance=without_common[0], turn_covariance=turned, measured=measured)

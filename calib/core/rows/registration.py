@@ -126,15 +126,23 @@ def _place(
     values: dict[str, float] = {}
     for target, point in zip(seen[1], placement.points, strict=True):
         if robot.description.targets[target].position == "unknown":
-            values |= _name_components(frames.origin(robot, target), LENGTH_COMPONENTS, point)
+            origin = frames.origin(robot, target)
+            values |= _values_at(robot, origin, pin.SE3(np.eye(3), point), LENGTH_COMPONENTS)
     if not frame_known:
-        base = frames.base(robot)
-        T_measurement_link = placement.T_base_measurement.inverse()
-        turned = pin.log3(robot.nominal.placement(base).rotation @ T_measurement_link.rotation)
-        values |= _name_components(base, LENGTH_COMPONENTS, T_measurement_link.translation)
-        values |= _name_components(base, ANGLE_COMPONENTS, turned)
+        values |= _values_at(robot, frames.base(robot), placement.T_base_measurement, COMPONENTS, reversed_frame=True)
     robot = _with_values(robot, values)
     return _with_values(robot, _orientations(robot, data, seen[0], frames))
+
+
+def _values_at(
+    robot: Robot, origin: str, pose: pin.SE3, components: tuple[str, ...], *, reversed_frame: bool = False
+) -> dict[str, float]:
+    """Values of components of an origin at a pose in its link; of a measurement frame, the link's pose in it."""
+    nominal = robot.nominal.placement(origin)
+    if reversed_frame:
+        pose, nominal = pose.inverse(), nominal.inverse()
+    numbers = np.concatenate([pose.translation, pin.log3(nominal.rotation.T @ pose.rotation)]).tolist()
+    return {f"{origin}.{name}": number for name, number in zip(COMPONENTS, numbers, strict=True) if name in components}
 
 
 def _with_values(robot: Robot, values: dict[str, float]) -> Robot:
@@ -205,10 +213,8 @@ def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed
 
 
 def _guess_joint_numbers(robot: Robot, data: Measurements, instrument: JointInstrument) -> Robot:
-    readings, configurations = (
-        data.readings[instrument.name],
-        robot.assemble(data.joints, labels=data.labels, context=data.conditions),
-    )
+    readings = data.readings[instrument.name]
+    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
     seen = np.asarray(views_of_instruments(robot, configurations, {instrument.name: readings})[instrument.name])
     first = instrument.first_unknowns(seen, robot.values[robot.unknowns[instrument.name]], readings)
     return _with_values(robot, {p.name: float(value) for p, value in zip(instrument.unknowns, first, strict=True)})
@@ -226,14 +232,8 @@ def _with_guess(
 ) -> Robot:
     values: dict[str, float] = {}
     for name, pose in guess.places.items():
-        origin = robot.mechanism.origin(name)
-        placed = pin.SE3(pose).inverse() if name.startswith(MEASUREMENT_FRAME) else pin.SE3(pose)
-        nominal = robot.nominal.placement(origin)
-        nominal = nominal.inverse() if name.startswith(MEASUREMENT_FRAME) else nominal
-        moved = np.concatenate([placed.translation, pin.log3(nominal.rotation.T @ placed.rotation)])
-        for component, number in zip(COMPONENTS, moved, strict=True):
-            if component in unknown.get(name, ()):
-                values[f"{origin}.{component}"] = float(number)
+        origin, is_frame = robot.mechanism.origin(name), name.startswith(MEASUREMENT_FRAME)
+        values |= _values_at(robot, origin, pin.SE3(pose), unknown.get(name, ()), reversed_frame=is_frame)
     if guess.unknowns is not None:
         values |= {p.name: float(number) for p, number in zip(instrument.unknowns, guess.unknowns, strict=True)}
     return _with_values(robot, values)
@@ -251,14 +251,9 @@ def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Fr
         chosen = seen[readings.visits] & np.isfinite(turned).all(axis=(1, 2))
         carriers = _carriers(robot, data, readings.visits[chosen], [frames.pairs[instrument.target]])[0][:, :3, :3]
         base = robot.mechanism.placement(frames.base(robot)).rotation
-        mean = (
-            scipy.spatial.transform.Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen])
-            .mean()
-            .as_matrix()
-        )
-        origin = frames.origin(robot, instrument.target)
-        nominal = robot.nominal.placement(origin).rotation
-        values |= _name_components(origin, ANGLE_COMPONENTS, pin.log3(nominal.T @ mean))
+        turns = scipy.spatial.transform.Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen])
+        mean = pin.SE3(turns.mean().as_matrix(), np.zeros(3))
+        values |= _values_at(robot, frames.origin(robot, instrument.target), mean, ANGLE_COMPONENTS)
     return values
 
 
@@ -283,7 +278,3 @@ def _carriers(robot: Robot, data: Measurements, chosen: IntArray, looked: list[R
     labels = [data.labels[k] for k in chosen]
     configurations = robot.assemble(data.joints[chosen], None, labels, data.conditions.select(chosen))
     return list(relative_poses(mechanism, configurations, pairs))
-
-
-def _name_components(origin: str, components: tuple[str, ...], numbers: FloatArray) -> dict[str, float]:
-    return {f"{origin}.{component}": float(number) for component, number in zip(components, numbers, strict=True)}

@@ -30,12 +30,7 @@ from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.observed import (
-    observe,
-    planned_readings,
-    predict_readings,
-    touches_without_target,
-)
+from calib.core.rows.observed import observe, planned_readings, predict_readings, touches_without_target
 from calib.core.rows.whitening import stated_noise
 
 _LONGEST_STEP = 0.2  # step of a joint [rad, or characteristic lengths]
@@ -92,12 +87,10 @@ def simulate(
     configurations = _assemble(robot, poses, commands, off)  # an error names the pose that fails
     readings = dict[str, Readings]()
     for name, predicted in predict_readings(robot, configurations, looks).items():
-        instrument = robot.instrument(name)
         if name not in touches:
-            readings[name] = _noisy(instrument, predicted, sigma, rng)
+            readings[name] = _noisy(robot.instrument(name), predicted, sigma, rng)
         elif len(predicted):
-            zeros = np.zeros((len(predicted), instrument.n_rows))
-            readings[name] = Readings(predicted.visits, predicted.pairs, zeros, None, predicted.details)
+            readings[name] = replace(touches[name], values=np.zeros_like(touches[name].values))
     comments = (f"simulated measurements of {robot.name}", _noise_in_words(robot, sigma))
     return replace(measurements(poses, readings), joints=commands, comments=comments, planned={})
 
@@ -144,12 +137,14 @@ def _touches(
             f"{poses.path}: no column says what instrument '{without_target.name}' touches; add a column"
             f" '{without_target.text_columns()[0]}' that names it at each pose (empty: it touches nothing there)"
         )
-    result = {}
-    for instrument in (instrument for instrument in robot.instruments if instrument.touches):
-        look = looks[instrument.name]
-        exact = Readings(look.visits, look.pairs, np.zeros((len(look), instrument.n_rows)), None, look.details)
-        result[instrument.name] = _noisy(instrument, exact, sigma, rng)
-    return result
+    exact = {
+        instrument.name: replace(
+            looks[instrument.name], values=np.zeros((len(looks[instrument.name]), instrument.n_rows))
+        )
+        for instrument in robot.instruments
+        if instrument.touches
+    }
+    return noisy_readings(robot, exact, sigma, rng)
 
 
 def touching_configurations(
@@ -166,8 +161,9 @@ def touching_configurations(
         Commands, (n, n_actuated) [m or rad]; distance of each from contact, (n,) [m], less than `MET` where it touches.
     """
     errors = np.zeros_like(poses.joints) if off is None else off
-    (lower, upper), follows = _limits(robot, poses), _follows(poses, touches)
-    scale, commands = robot.mechanism.joint_scale, poses.joints
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    lower, upper = np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
+    scale, commands, follows = robot.mechanism.joint_scale, poses.joints, _follows(poses, touches)
     everyone, given_up = np.arange(len(poses)), np.zeros(len(poses), dtype=bool)
     for _ in range(_ROUNDS):  # because a moved visit can change the direction of approach to the next one
         gaps, slopes = _gaps(robot, poses, commands, errors, touches, everyone)
@@ -214,17 +210,10 @@ def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held
     # Singular values, not J^T J: with little damping, its rounding errors would move joints that change no gap.
     left, values, right = linalg.svd(free, full_matrices=False)
     gradient = np.matmul(left.transpose(0, 2, 1), gaps[:, :, None])[:, :, 0]
-    step: FloatArray = -np.matmul((gradient * values / (values**2 + (damping * size)[:, None]))[:, None, :], right)[
-        :, 0
-    ]
+    along = gradient * values / (values**2 + (damping * size)[:, None])
+    step: FloatArray = -np.matmul(along[:, None, :], right)[:, 0]
     longest = np.max(np.abs(step), axis=1, keepdims=True)
     return step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
-
-
-def _limits(robot: Robot, poses: Poses) -> tuple[FloatArray, FloatArray]:
-    """Limits of the joints, (n, n_actuated) each: those of the URDF, extended to these poses."""
-    lower, upper = robot.urdf.limits(robot.joint_names)
-    return np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
 
 
 def _follows(poses: Poses, touches: Mapping[str, Readings]) -> IntArray:

@@ -126,12 +126,12 @@ class Table:
             )
         place = f"{self.path}, column '{self.header(name)}'"
         divisor = 1.0 if dimension is None else per_si(self.units[index], dimension, place, DataError)
-        values = self._numbers(index, gaps=gaps)
+        values = self._numbers(name, gaps=gaps)
         if np.all(np.isnan(values)):
             return values
         worst = int(np.nanargmax(np.abs(values)))
         if self.units[index] is None and dimension is not None:
-            check_plausible(values[worst], dimension, self._where(worst, index), "into the header")
+            check_plausible(values[worst], dimension, self.where(worst, name), "into the header")
         values = values / divisor
         if name in self.maps:
             mapped = self.maps[name]
@@ -139,7 +139,7 @@ class Table:
             values = mapped.factor * values + mapped.offset / scale
         if abs(values[worst]) > _LARGEST.get(dimension or "", _LARGEST_NUMBER):
             raise DataError(
-                f"{self._where(worst, index)}: {self.rows[worst][index]:.60} is beyond what any instrument measures;"
+                f"{self.where(worst, name)}: {self.rows[worst][index]:.60} is beyond what any instrument measures;"
                 " correct it, or leave the row out"
             )
         return values
@@ -152,13 +152,14 @@ class Table:
         texts = [text_of(cells[index].strip()) for cells in self.rows]
         if unseen("".join(texts)):
             row, problem = next((row, problem) for row, text in enumerate(texts) if (problem := unseen(text)))
-            raise DataError(f"{self._where(row, index)}: {problem}")
+            raise DataError(f"{self.where(row, name)}: {problem}")
         return "\n".join(texts).split("\n") if texts else []  # new: text among the cells would keep all their memory
 
-    def _numbers(self, index: int, *, gaps: bool) -> FloatArray:
-        if self.separator != ",":
-            self._check_marks(index)
+    def _numbers(self, name: str, *, gaps: bool) -> FloatArray:
+        index = self.names.index(name)
         cells = [row[index] for row in self.rows]
+        if self.separator != ",":
+            self._check_marks(name, cells)
         try:
             values = np.array([float(cell) for cell in cells])
             if np.all(np.isfinite(values)) and "_" not in ",".join(cells):  # float() also reads 1_000
@@ -167,28 +168,24 @@ class Table:
             pass  # the error below names the cell
         return np.array(
             [
-                np.nan if gaps and not cell.strip() else read_number(cell, self._where(k, index), self.separator)
+                np.nan if gaps and not cell.strip() else read_number(cell, self.where(k, name), self.separator)
                 for k, cell in enumerate(cells)
             ]
         )
 
-    def _check_marks(self, index: int) -> None:
+    def _check_marks(self, name: str, cells: Sequence[str]) -> None:
         """Raise `DataError` where a column has commas and points, as it is unclear which of them are decimal."""
-        comma = next((k for k, row in enumerate(self.rows) if "," in row[index] and "." not in row[index]), None)
-        point = next((k for k, row in enumerate(self.rows) if "." in row[index] and "," not in row[index]), None)
+        comma = next((k for k, cell in enumerate(cells) if "," in cell and "." not in cell), None)
+        point = next((k for k, cell in enumerate(cells) if "." in cell and "," not in cell), None)
         if comma is not None and point is not None:
-            with_comma, with_point = (self.rows[k][index].strip() for k in (comma, point))
             raise DataError(
-                f"{self._where(comma, index)}: '{with_comma:.60}', but '{with_point:.60}' in line"
+                f"{self.where(comma, name)}: '{cells[comma].strip():.60}', but '{cells[point].strip():.60}' in line"
                 f" {self.lines[point]}; write all decimals of a column one way"
             )
 
     def where(self, row: SupportsIndex, name: str = "") -> str:
         """Return the place of a row, or of its cell in a column, for messages."""
         return f"{self.path}, line {self.lines[row]}" + (f", column '{self.header(name)}'" if name else "")
-
-    def _where(self, row: int, index: int) -> str:
-        return self.where(row, self.names[index])
 
 
 def read_number(cell: str, where: str, separator: str = ",") -> float:

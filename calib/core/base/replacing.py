@@ -9,9 +9,9 @@ program that is killed between these two steps leaves the old one, whole, in a f
 program that writes there puts it back.
 
 A program locks the folder in which it completes something; the lock ends with the program, however it ends. A folder
-without a lock is a leftover of a killed program, and the next program that writes there removes it. While a folder is replaced,
-the folder above it is locked, so that no other program misses a folder that was set aside. File systems without locks
-keep their leftovers, and only the exchange is safe for two programs at once there.
+without a lock is a leftover of a killed program, and the next program that writes there removes it. While a folder is
+replaced, the folder above it is locked, so that no other program misses a folder that was set aside. File systems
+without locks keep their leftovers, and only the exchange is safe for two programs at once there.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def clear_leftovers(parent: Path) -> None:
 
 
 def _discard(path: Path) -> None:
-    """Remove a folder of this module, or a file of earlier versions; what was set aside goes back if its place is free."""
+    """Remove a folder, or a file of earlier versions; what was set aside in it goes back if its place is free."""
     if not path.is_dir():
         path.unlink(missing_ok=True)
         return

@@ -9,8 +9,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
-from calib.core.base.tolerances import stated_tolerance
-from calib.core.base.units import quantity_text
+from calib.core.base.units import quantity_text, stated_tolerance
 from calib.core.data.instrument_cells import labels_of_rows, lacking_column, names_of_poses, setups_of
 from calib.core.data.measurement_columns import APPROACH
 from calib.core.data.measurements import Poses, states_by_order

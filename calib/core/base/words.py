@@ -38,7 +38,11 @@ def count_noun(number: int, singular: str, plural: str | None = None) -> str:
 
 
 def listing(names: Sequence[str], separator: str = ", ", shown: int = _LISTED) -> str:
-    """Return the first few of many, and how many more there are."""
+    """Return the first few of many, and how many more there are.
+
+    >>> listing(list("abcdefg")), listing(["a", "b"], "; ")
+    ('a, b, c, d, e, and 2 more', 'a; b')
+    """
     return separator.join(names[:shown]) + (f"{separator}and {len(names) - shown} more" if len(names) > shown else "")
 
 

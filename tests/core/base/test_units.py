@@ -10,7 +10,6 @@ from calib.core.base.units import (
     ERROR_UNIT,
     from_unit,
     in_unit,
-    per_si,
     quantity,
     quantity_text,
     split_column,
@@ -22,6 +21,9 @@ from calib.core.base.units import (
     [
         ("178 mm", "length", 0.178),  # exactly the float nearest to 0.178: the reason why the table holds units per SI
         ("40um", "length", 40e-6),
+        ("40 \N{MICRO SIGN}m", "length", 40e-6),
+        ("40 \N{GREEK SMALL LETTER MU}m", "length", 40e-6),
+        ("180 °", "angle", math.pi),
         ("-1.5e-3 m", "length", -1.5e-3),
         ("0.25", "length", 0.25),
         (3, "length", 3.0),
@@ -55,15 +57,6 @@ def test_a_value_is_shown_in_the_unit_that_is_named(value, unit, expected):
 
 
 @pytest.mark.parametrize(
-    ("sign", "dimension", "name"),
-    [("°", "angle", "deg"), ("\N{MICRO SIGN}m", "length", "um"), ("\N{GREEK SMALL LETTER MU}m", "length", "um")],
-)
-def test_signs_of_units_mean_what_their_names_do(sign, dimension, name):
-    assert per_si(sign, dimension, "here") == per_si(name, dimension, "here")
-    assert quantity(f"2 {sign}", dimension, "here") == quantity(f"2 {name}", dimension, "here")
-
-
-@pytest.mark.parametrize(
     ("value", "dimension", "message"),
     [
         ("1 deg", "length", "here: unit 'deg' is for an angle; a length is expected (m, mm, um)"),
@@ -86,11 +79,6 @@ def test_a_wrong_unit_is_an_error_with_the_valid_ones(value, dimension, message)
 def test_what_is_no_finite_number_is_an_error(value):
     with pytest.raises(InputError, match=r"here: .* is not a finite number with a unit, such as '0.04 mm'"):
         quantity(value, "length", "here")
-
-
-def test_no_unit_means_si():
-    assert per_si(None, "length", "here") == 1.0
-    assert per_si("", "angle", "here") == 1.0
 
 
 @pytest.mark.parametrize(

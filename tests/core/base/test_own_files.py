@@ -43,26 +43,19 @@ def refused(run, folder, before, word):
     assert contents(folder) == before
 
 
-@pytest.mark.parametrize("spelling", ["d.csv", "./sub/../d.csv", "symbolic.csv", "hard.csv"])
-def test_a_command_never_writes_onto_its_data_under_whatever_name(here, run_calib, spelling):
+@pytest.mark.parametrize(
+    "target", ["d.csv", "./sub/../d.csv", "symbolic.csv", "hard.csv", "arm.yaml", "arm.urdf", "v.csv"]
+)
+def test_a_command_never_writes_onto_its_inputs_under_whatever_name(here, run_calib, target):
     (here / "sub").mkdir()
     (here / "symbolic.csv").symlink_to("d.csv")
     os.link(here / "d.csv", here / "hard.csv")
-    before = contents(here)
-    refused(
-        run_calib("predict", "arm.yaml", "d.csv", "--out", spelling, cwd=here), here, before, "is read by this command"
-    )
-    run = run_calib("predict", "arm.yaml", "d.csv", "--out", spelling, "--force", cwd=here)
-    assert run.code == 0
-    assert (here / spelling).read_bytes() != before["d.csv"]
-
-
-@pytest.mark.parametrize("target", ["arm.yaml", "arm.urdf", "v.csv"])
-def test_robot_urdf_and_parameters_are_inputs_too(here, run_calib, target):
     shutil.copy(EXAMPLES / "arm_truth.csv", here / "v.csv")
-    before = contents(here)
-    run = run_calib("predict", "arm.yaml", "d.csv", "--parameters", "v.csv", "--out", target, cwd=here)
-    refused(run, here, before, f"{target}: is read by this command")
+    before, old = contents(here), (here / target).read_bytes()
+    command = ("predict", "arm.yaml", "d.csv", "--parameters", "v.csv", "--out", target)
+    refused(run_calib(*command, cwd=here), here, before, "is read by this command")
+    assert run_calib(*command, "--force", cwd=here).code == 0
+    assert (here / target).read_bytes() != old
 
 
 def test_what_this_program_wrote_is_an_input_as_well(here, run_calib):

@@ -24,10 +24,9 @@ _LISTED = 100
 
 
 class CalibrationError(Exception):
-    """Base of every error that this package raises on purpose.
+    """Base of every error that this package raises on purpose: what is wrong, where, and what to do.
 
-    Args:
-        message: What is wrong, where, and what to do; long quotes of files are cut.
+    Long quotes of files in the message are cut.
     """
 
     exit_code = 3
@@ -96,8 +95,7 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
         return f"; did you mean '{close}'?"
     if not names:
         return "; nothing is valid here"
-    more = f", and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return f"; {what} {', '.join(names[:_LISTED])}{more}"
+    return f"; {what} {listed_columns(names)}"
 
 
 def require_known(name: str, valid: Collection[str], message: str, error: type[Exception] = InputError) -> None:
@@ -126,7 +124,7 @@ def nearest_column(name: str, columns: Collection[str], taken: Collection[str] =
 
 
 def listed_columns(columns: Collection[str]) -> str:
-    """Return the columns of a file as a list; of very many the first ones."""
+    """Return names, such as the columns of a file, as a list; of very many the first ones."""
     names = list(columns)
     more = f", and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return (", ".join(names[:_LISTED]) or "no columns") + more

@@ -188,9 +188,7 @@ def write_folder(
 
     The new folder is completed next to the old one and takes its place in one step; see `calib.core.base.replacing`. A
     manifest in it says what was written (`calib.core.base.own_files`); `inputs` and `force` are as in `write_files`.
-
-    Raises:
-        InputError: The folder cannot be written, or a file in it should not be replaced; what was there is untouched.
+    `InputError` if the folder cannot be written, or a file in it should not be replaced; what was there is untouched.
     """
     path = Path(path).resolve()
     with _explain_errors(path):

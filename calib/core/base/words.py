@@ -107,10 +107,7 @@ def _wrap_lines(text: str, width: int) -> str:
 def text_table(
     headers: Sequence[str], left: Collection[str] = ("",), title: str | None = None, *, plain: bool = False
 ) -> Table:
-    """Return an empty table for `plain_text`; columns with these `left` headers are aligned left, the others right.
-
-    `plain`: it has no lines.
-    """
+    """Return an empty table for `plain_text`, without lines if `plain`; columns of `left` headers are aligned left."""
     style: dict[str, Any] = {"box": None, "pad_edge": False} if plain else {}
     table = Table(title=title, title_justify="left", **style)
     for header in headers:

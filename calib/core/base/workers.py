@@ -48,10 +48,8 @@ def results_in_order(
 
     At most `_AHEAD` items are with the executor at a time, so that its memory does not grow with their number. The
     function holds the data that all pieces share. It is a function of a module, so that other processes find it;
-    neither it nor the caller may change its input. `progress` is told after each item.
-
-    Raises:
-        ComputationError: The same piece of work was lost several times.
+    neither it nor the caller may change its input. `progress` is told after each item. A piece of work that is lost
+    several times is a `ComputationError`.
     """
     futures = dict[int, _Sent]()
     send = None if executor is None else _sender(executor, function)

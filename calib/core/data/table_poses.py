@@ -148,16 +148,10 @@ def conditions_of_table(
 ) -> tuple[dict[str, FloatArray], FloatArray | None]:
     """Return the conditions of the robot in each row of a table, and the directions of approach.
 
-    Args:
-        joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then their
-            order tells nothing.
-
-    Returns:
-        Columns that terms depend on, and those of gravity where the description speaks of it, (n,) [SI] by name, NaN
-        where empty; directions, 0 for joints without a column, (n, n_actuated), None where no joint has one.
-
-    Raises:
-        DataError: A cell, a direction of gravity or the name of a joint is wrong.
+    Conditions are columns that terms depend on, and those of gravity where the description speaks of it, (n,) [SI] by
+    name, NaN where empty; directions are 0 for joints without a column, (n, n_actuated), None where no joint has one.
+    `joints` are the commands of the rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then their
+    order tells nothing. `DataError` if a cell, a direction of gravity or the name of a joint is wrong.
     """
     dimensions, with_gravity = condition_columns(robot.terms), robot.description.gravity is not None
     keys = [key for key in dimensions if key in table.names and (with_gravity or key not in GRAVITY_COLUMNS)]

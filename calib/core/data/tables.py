@@ -227,10 +227,7 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
 
 
 def read_table(
-    path: Source,
-    renamed: Mapping[str, str] | None = None,
-    *,
-    growing: Sequence[str] | None = None,
+    path: Source, renamed: Mapping[str, str] | None = None, *, growing: Sequence[str] | None = None
 ) -> Table:
     """Read a CSV file, its columns separated by commas, semicolons or tabs; or a workbook, or a ROS bag.
 

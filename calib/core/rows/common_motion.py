@@ -123,13 +123,9 @@ class CommonMotion(ReadOnlyArrays):
 
     @staticmethod
     def from_robots(robot: Robot, onto: Robot, loose: UnknownPlaces, joints: FloatArray) -> CommonMotion:
-        """Align a robot with another.
+        """Align a robot with another at poses that both can assemble, (n, n_actuated) [m or rad].
 
-        Args:
-            robot: The robot to move.
-            onto: The other robot.
-            loose: The places of the robot that are moved, starting from their values in the other robot.
-            joints: Poses that both can assemble, (n, n_actuated) [m or rad].
+        Its `loose` places are moved, starting from their values in the other robot.
         """
         motion = CommonMotion(robot, loose, joints, np.zeros(3), np.zeros((loose.n_motions, 0)))
         if not (len(joints) and loose.counts and loose.n_motions):

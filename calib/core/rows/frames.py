@@ -80,14 +80,8 @@ class ReportedUncertainty(ReadOnlyArrays):
     ) -> PositionUncertainty:
         """Predict positions in the measurement frame, with their covariance in this frame.
 
-        Args:
-            q: Commands, (n_poses, n_actuated) [m or rad].
-            context: Conditions of the commands; joint terms may depend on them.
-            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
-            turns: Whether to compute the covariance of the orientations as well.
-
-        Raises:
-            UnreachablePoseError: A loop stays open.
+        Commands are q, (n_poses, n_actuated) [m or rad]; for the other arguments see `ParameterUncertainty.predict`. A
+        loop that stays open is an `UnreachablePoseError`.
         """
         counts = None if self.counts is None else self.uncertainty.counting(self.robot, self.counts)
         common = None if self.motion is None else self._common

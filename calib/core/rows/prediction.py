@@ -141,11 +141,8 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
 def order_of_joints(q: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return an order and signs of joints that depend on poses q (n, n_actuated) alone.
 
-    So samples do not depend on the names of joints, their order in a description, and the positive direction of an
-    axis.
-
-    Returns:
-        The place of each joint in the order, and +1 or -1 for each, (n_actuated,).
+    They are the place of each joint in the order, and +1 or -1 for each, (n_actuated,). So samples do not depend on the
+    names of joints, their order in a description, and the positive direction of an axis.
     """
     off = q - q.mean(axis=0)
     first = off[np.argmax(off != 0, axis=0), np.arange(off.shape[1])]
@@ -167,11 +164,8 @@ def recombined_joints(q: FloatArray, most: int) -> FloatArray:
 def without_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray:
     """Return derivatives of positions without the motion of all of them as one body, in the shape of `rows`.
 
-    Where base and tool are placed anew, only this part of an error of the parameters is visible.
-
-    Args:
-        positions: Positions, (n, n_targets, 3) [m].
-        rows: Their derivatives, (..., n_parameters), three rows for each position.
+    Where base and tool are placed anew, only this part of an error of the parameters is visible. Positions are
+    (n, n_targets, 3) [m], derivatives (..., n_parameters), three rows for each position.
     """
     points = positions.reshape(-1, 3)
     turns = np.cross(np.eye(3), (points - points.mean(axis=0))[:, None]).swapaxes(1, 2)
@@ -206,14 +200,9 @@ def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | 
 
 
 def root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
-    """Return 95 % limits of the root of a sum of squares of normal numbers, (2, ...).
+    """Return 95 % limits of the root of a sum of squares of normal numbers, (2, ...), as `length95` does.
 
-    It follows from the sums of its weights and of their squares.
-
-    Args:
-        trace: Sum of the weights, (...).
-        squares: Sum of their squares, (...).
-        coverage_factor: As in `length95`.
+    They follow from the sum of its weights (`trace`), and of their squares, (...) each.
     """
     certain = squares <= _CERTAIN * trace**2  # also where both are zero
     share = np.where(certain, 1.0, squares) / np.where(certain, 1.0, trace)
@@ -325,12 +314,8 @@ class ParameterUncertainty(ReadOnlyArrays):
     ) -> UncertaintyJacobian:
         """Linearise positions and turns of all targets by all uncertain quantities.
 
-        Args:
-            q: Commands, (n_poses, n_actuated) [m or rad].
-            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
-
-        Raises:
-            UnreachablePoseError: A loop stays open.
+        Commands are q, (n_poses, n_actuated) [m or rad]; `near` are passive joints to start from, if they are known,
+        (n_poses, n_passive) [m or rad]. A loop that stays open is an `UnreachablePoseError`.
         """
         whole = self.with_undecided_terms(robot)
         place = {p.name: k for k, p in enumerate(whole.parameters)}

@@ -98,13 +98,9 @@ def simulate(
 def noisy_readings(
     robot: Robot, exact: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
 ) -> dict[str, Readings]:
-    """Return readings with normal noise, without those that see nothing.
+    """Return readings with normal noise, without those that see nothing; of touches, the misses.
 
-    Args:
-        robot: The robot, whose instruments state their noise.
-        exact: Readings without noise; no touches, whose noise is in the joints.
-        sigma: As in `simulate`.
-        rng: Source of the noise.
+    Arguments are the robot, whose instruments state their noise, readings without noise, and as in `simulate`.
     """
     return {name: _noisy(robot.instrument(name), readings, sigma, rng) for name, readings in exact.items()}
 
@@ -227,17 +223,11 @@ def _follows(poses: Poses, touches: Mapping[str, Readings]) -> IntArray:
 
 
 def _gaps(
-    robot: Robot,
-    poses: Poses,
-    commands: FloatArray,
-    off: FloatArray,
-    touches: Mapping[str, Readings],
-    index: IntArray,
+    robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray, touches: Mapping[str, Readings], index: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Gaps of some visits beyond the drawn miss, and their derivative by the actuated joints.
+    """Gaps of some visits beyond the drawn miss, (n, n_gaps) [m], and by the actuated joints, (n, n_gaps, n_actuated).
 
-    Returns:
-        (n, n_gaps) [m], 0 where fewer, infinite where the robot cannot be assembled; (n, n_gaps, n_actuated).
+    They are 0 where an instrument has fewer, and infinite where the robot cannot be assembled.
     """
     context = _context(poses, commands)
     columns = tuple(part[index] for part in term_columns(robot, commands + off, context))

@@ -61,11 +61,8 @@ class Whitening:
     def flatten(self, arrays: Mapping[str, FloatArray], out: FloatArray | None = None) -> FloatArray:
         """Whiten arrays by instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
-        Args:
-            out: Array for the result, if there is one; the arrays may stand at their places in it, `readings_in`.
-
-        Returns:
-            (n_all_rows,) or (n_all_rows, k).
+        The result is (n_all_rows,) or (n_all_rows, k), in `out` if that is given, in which the arrays may stand at
+        their places, `readings_in`.
         """
         rows = np.empty((self.layout.n_rows, *arrays[self._names[0]].shape[2:])) if out is None else out
         for name in self._names:
@@ -109,18 +106,11 @@ class Whitening:
         return np.where(number >= 0, groups[number], 1.0)
 
     def rows(
-        self,
-        observed: Mapping[str, Observed],
-        groups: FloatArray,
-        unknowns: Unknowns,
-        values: FloatArray,
+        self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns, values: FloatArray
     ) -> Rows:
-        """Return the whitened rows.
+        """Return the whitened rows of each instrument, by the scales of the noise of the groups, (n_groups,).
 
-        Args:
-            observed: Observed rows of each instrument, by name.
-            groups: Scale of the noise of each group, (n_groups,).
-            values: Values of all parameters at which they were observed, (n_parameters,) [m or rad].
+        They were observed at these values of all parameters, (n_parameters,) [m or rad].
         """
         residuals = self.whiten({name: observed[name].residuals for name in self._names}, groups)
         deviations = unknowns.deviations(values)

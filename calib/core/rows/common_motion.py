@@ -28,6 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.instruments.rotations import rotation_vectors
 from calib.core.numerics import linalg
 from calib.core.numerics.rigid import cross_matrices
 from calib.core.robots.configurations import Configurations
@@ -141,7 +142,8 @@ class CommonMotion(ReadOnlyArrays):
         motion = replace(motion, basis=right[values > _HARDLY_MOVES].T)
         for _ in range(_ROUNDS):
             x, turned = target_poses(motion.robot, configurations)
-            off = np.concatenate([positions - x, _turns(rotations, turned)], axis=2)[..., None]
+            turns = rotation_vectors((rotations @ turned.swapaxes(2, 3)).reshape(-1, 3, 3)).reshape(x.shape)
+            off = np.concatenate([positions - x, turns], axis=2)[..., None]
             step = motion._best_motion(motion.columns(x, turned), off)[:, 0]
             motion = replace(motion, robot=motion._move_robot(motion.basis @ step))
             if np.max(np.abs(step), initial=0.0) < _CONVERGED:
@@ -208,9 +210,3 @@ def target_poses(robot: Robot, configurations: Configurations) -> tuple[FloatArr
     mechanism = robot.mechanism
     poses = relative_poses(mechanism, configurations, mechanism.targets).swapaxes(0, 1)
     return poses[..., :3, 3], poses[..., :3, :3]
-
-
-def _turns(rotations: FloatArray, others: FloatArray) -> FloatArray:
-    """Rotation vectors from `others` to `rotations`, (n, n_targets, 3, 3) each, in common axes, (n, n_targets, 3)."""
-    relative = (rotations @ others.swapaxes(2, 3)).reshape(-1, 3, 3)
-    return np.array([pin.log3(turn) for turn in relative]).reshape(rotations.shape[:3])

@@ -98,9 +98,9 @@ def simulate(
 def noisy_readings(
     robot: Robot, exact: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
 ) -> dict[str, Readings]:
-    """Return readings with normal noise, without those that see nothing; of touches, the misses.
+    """Return readings `exact` with the normal noise that the robot's instruments state, or `sigma` (see `simulate`).
 
-    Arguments are the robot, whose instruments state their noise, readings without noise, and as in `simulate`.
+    Those that see nothing are left out. Noise of gaps is the distance by which touches miss.
     """
     return {name: _noisy(robot.instrument(name), readings, sigma, rng) for name, readings in exact.items()}
 

@@ -108,9 +108,9 @@ class Whitening:
     def rows(
         self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns, values: FloatArray
     ) -> Rows:
-        """Return the whitened rows of each instrument, by the scales of the noise of the groups, (n_groups,).
+        """Return the whitened rows of what was observed at `values` of all parameters, (n_parameters,) [m or rad].
 
-        They were observed at these values of all parameters, (n_parameters,) [m or rad].
+        `observed` has the rows of each instrument, and `groups` the scale of the noise of each group, (n_groups,).
         """
         residuals = self.whiten({name: observed[name].residuals for name in self._names}, groups)
         deviations = unknowns.deviations(values)

@@ -58,7 +58,6 @@ def test_line_ends_of_every_system_are_read_and_odd_ones_inside_a_cell_are_none(
         ("# only a comment\n\n,,\n", "is empty; expected a header line and rows of numbers"),
         ("a,b\n", "has a header but no rows"),
         ("a;b\n1;2\n3;4;5\n", "line 3: 3 cells for 2 columns"),
-        ('# exported\na;b\n;;\n1;"2\n', "line 4: is not CSV (unexpected end of data)"),
         ("a,b,a [mm]\n1,2,3\n", "column 'a' appears twice; names must be unique"),
         ("a,,b\n1,2,3\n", "column 2 has no name in the header; name it, or remove it"),
         ("a,b\n1,2\n3\n", "line 3: 1 cells for 2 columns"),
@@ -67,9 +66,8 @@ def test_line_ends_of_every_system_are_read_and_odd_ones_inside_a_cell_are_none(
             "a,b\n1,5,2,5\n",
             "line 2: 4 cells for 2 columns; write decimals with a point, or separate columns by semicolons",
         ),
-        ('a,b\n1,"2\n3",4\n', "line 2: is not CSV (unexpected end of data)"),
+        ('# exported\na;b\n;;\n1;"2\n3";4\n', "line 4: is not CSV (unexpected end of data)"),
         (b"\xff\xfea\x00,\x00", "column 2 has no name in the header; name it, or remove it"),
-        ("a,b\n1\n".encode("utf-16"), "line 2: 1 cells for 2 columns"),
         (bytes(range(128, 256)), "is not UTF-8 text; give a CSV file in UTF-8"),
     ],
 )
@@ -92,7 +90,6 @@ def test_semicolons_and_tabs_part_columns_and_leave_the_comma_for_decimals(table
     ("rows", "message"),
     [
         (("1,5", "1.234,5"), "line 3, column 'b': '1.234,5' is not a number; write thousands without a mark"),
-        (("1.5", "1,234.5"), "line 3, column 'b': '1,234.5' is not a number; write thousands without a mark"),
         (("1,5", "1,234,567"), "line 3, column 'b': '1,234,567' is not a number; write thousands without a mark"),
         (("2.5", "1,234"), "line 3, column 'b': '1,234', but '2.5' in line 2; write all decimals of a column one way"),
         (("1,5", "fast, too"), "line 3, column 'b': 'fast, too' is not a number"),
@@ -108,12 +105,9 @@ def test_commas_that_may_mean_something_else_are_errors_with_line_and_column(tab
     [
         ("", "is empty; fill it in, or remove the row"),
         ("nan", "'nan' is not finite; remove the row"),
-        ("-inf", "'-inf' is not finite; remove the row"),
         ("1e999", "'1e999' is not finite; remove the row"),
         ("fast", "'fast' is not a number"),
         ("1_000", "'1_000' is not a number"),  # Python's float() would read 1000
-        ("0x10", "'0x10' is not a number"),
-        ("12 mm", "'12 mm' is not a number"),
         ('"1,5"', "'1,5' is not a number; write decimals with a point"),
     ],
 )

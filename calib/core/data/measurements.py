@@ -225,7 +225,7 @@ class Measurements(Poses):
         return self.subset(np.flatnonzero(read)) if np.any(read) and not np.all(read) else self
 
     def with_readings(self, numbers: Mapping[str, IntArray]) -> Self:
-        """Return some readings of each instrument, by indices (n,), and their visits; instruments not named get none."""
+        """Return some readings of each instrument, by indices (n,), and their visits; others get none."""
         chosen = {name: self.readings[name].subset(own) for name, own in numbers.items()}
         visits = np.unique(np.concatenate([readings.visits for readings in chosen.values()]))
         return replace(self, readings=chosen).subset(visits)

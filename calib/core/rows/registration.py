@@ -10,6 +10,7 @@ that was moved follows from the others.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -44,8 +45,8 @@ def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) 
         DataError: Measurements that are not finite.
     """
     for setup in range(max(len(robot.description.setups), 1)):
-        for seen in _common_visits(robot, data, setup):
-            robot = _place(robot, data, seen, setup, rough_beyond)
+        for seen in _seen_targets(robot, data, setup):
+            robot = _place(robot, data, seen, rough_beyond)
     placed: list[str] = []
     for instrument in robot.instruments:
         if instrument.name in data.readings:
@@ -71,67 +72,69 @@ def registration(
         UnreachablePoseError: A pose cannot be assembled.
         DataError: No points were measured, or measurements that are not finite.
     """
-    groups = _common_visits(robot, data, 0)
+    groups = _seen_targets(robot, data, 0)
     if not groups:
         raise DataError(f"{data.path}: no points were measured, so that the measurement frame cannot be placed")
-    known = {"frame_known": frame_known, "targets_known": targets_known}
-    return _registration(robot, data, groups[0], _Frames(robot, 0), **known), groups[0][1]
+    placement = _registration(robot, data, groups[0], frame_known=frame_known, targets_known=targets_known)
+    return placement, groups[0].names
 
 
-class _Frames:
-    def __init__(self, robot: Robot, setup: int) -> None:
-        self.setup = setup
-        self.pairs: dict[str, RelativeFrame] = {}
-        for instrument in robot.instruments:
-            pairs = robot.pairs[instrument.name]
-            if isinstance(instrument, FrameInstrument) and pairs[0].a == robot.mechanism.targets[0].a:
-                later = pairs[setup * len(pairs) // max(len(robot.description.setups), 1)]
-                self.pairs.setdefault(instrument.target, later)
+@dataclass(frozen=True)
+class _SeenTargets:
+    """Targets whose points were measured together in a setup.
 
-    def base(self, robot: Robot) -> str:
-        """Return the origin of the measurement frame."""
-        return robot.mechanism.origin_names[next(iter(self.pairs.values())).a - 1]
+    Attributes:
+        names: The targets.
+        is_seen: Mask of the visits at which all of them were, (n,).
+        pairs: Measurement frame and target of each target of this setup, seen or not.
+        base: Origin of the measurement frame.
+        origins: Origin of each target.
+    """
 
-    def origin(self, robot: Robot, target: str) -> str:
-        """Return the origin of a target."""
-        return robot.mechanism.origin_names[self.pairs[target].b - 1]
+    names: tuple[str, ...]
+    is_seen: BoolArray
+    pairs: dict[str, RelativeFrame]
+    base: str
+    origins: dict[str, str]
 
 
-def _common_visits(robot: Robot, data: Measurements, setup: int) -> list[tuple[BoolArray, tuple[str, ...]]]:
-    """Visits of a setup at which points were measured, and their targets; most visits first."""
-    points = data.points(robot)
-    n_setups = max(len(robot.description.setups), 1)
+def _seen_targets(robot: Robot, data: Measurements, setup: int) -> list[_SeenTargets]:
+    """Targets of a setup whose points were measured: all together, or else each alone, most visits first."""
+    mechanism, n_setups = robot.mechanism, max(len(robot.description.setups), 1)
+    pairs: dict[str, RelativeFrame] = {}
     in_setup = np.zeros(len(data), dtype=bool)
-    for name, readings in data.readings.items():
-        instrument = robot.instrument(name)
-        if instrument.points(readings.values[:1]) is not None:
-            in_setup[readings.visits[readings.pairs * n_setups // len(robot.pairs[instrument.name]) == setup]] = True
-    seen = np.isfinite(points).all(axis=2) & in_setup[:, None]
-    if not np.any(seen):
-        return []
+    for instrument in robot.instruments:
+        all_pairs, readings = robot.pairs[instrument.name], data.readings.get(instrument.name)
+        if isinstance(instrument, FrameInstrument) and all_pairs[0].a == mechanism.targets[0].a:
+            pairs.setdefault(instrument.target, all_pairs[setup * len(all_pairs) // n_setups])
+        if readings is not None and instrument.points(readings.values[:1]) is not None:
+            in_setup[readings.visits[readings.pairs * n_setups // len(all_pairs) == setup]] = True
+    seen = np.isfinite(data.points(robot)).all(axis=2) & in_setup[:, None]
     targets = [t for t in range(seen.shape[1]) if np.any(seen[:, t])]
-    together = np.all(seen[:, targets], axis=1)
-    if np.sum(together) >= 3 or len(targets) == 1:
-        return [(together, tuple(robot.target_names[t] for t in targets))]
-    order = sorted(targets, key=lambda t: -int(np.sum(seen[:, t])))
-    return [(seen[:, t], (robot.target_names[t],)) for t in order]
+    if not targets:
+        return []
+    groups = [targets]
+    if np.sum(np.all(seen[:, targets], axis=1)) < 3:
+        groups = [[t] for t in sorted(targets, key=lambda t: -int(np.sum(seen[:, t])))]
+    base = mechanism.origin_names[next(iter(pairs.values())).a - 1]
+    origins = {name: mechanism.origin_names[pair.b - 1] for name, pair in pairs.items()}
+    return [
+        _SeenTargets(tuple(robot.target_names[t] for t in own), np.all(seen[:, own], axis=1), pairs, base, origins)
+        for own in groups
+    ]
 
 
-def _place(
-    robot: Robot, data: Measurements, seen: tuple[BoolArray, tuple[str, ...]], setup: int, rough_beyond: float
-) -> Robot:
-    frames = _Frames(robot, setup)
+def _place(robot: Robot, data: Measurements, seen: _SeenTargets, rough_beyond: float) -> Robot:
     frame_known = robot.description.base.pose == "known"
-    placement = _registration(robot, data, seen, frames, frame_known=frame_known, rough_beyond=rough_beyond)
+    placement = _registration(robot, data, seen, frame_known=frame_known, rough_beyond=rough_beyond)
     values: dict[str, float] = {}
-    for target, point in zip(seen[1], placement.points, strict=True):
+    for target, point in zip(seen.names, placement.points, strict=True):
         if robot.description.targets[target].position == "unknown":
-            origin = frames.origin(robot, target)
-            values |= _values_at(robot, origin, pin.SE3(np.eye(3), point), LENGTH_COMPONENTS)
+            values |= _values_at(robot, seen.origins[target], pin.SE3(np.eye(3), point), LENGTH_COMPONENTS)
     if not frame_known:
-        values |= _values_at(robot, frames.base(robot), placement.T_base_measurement, COMPONENTS, reversed_frame=True)
+        values |= _values_at(robot, seen.base, placement.T_base_measurement, COMPONENTS, reversed_frame=True)
     robot = _with_values(robot, values)
-    return _with_values(robot, _orientations(robot, data, seen[0], frames))
+    return _with_values(robot, _orientations(robot, data, seen))
 
 
 def _values_at(
@@ -153,26 +156,24 @@ def _with_values(robot: Robot, values: dict[str, float]) -> Robot:
 def _registration(
     robot: Robot,
     data: Measurements,
-    seen: tuple[BoolArray, tuple[str, ...]],
-    frames: _Frames,
+    seen: _SeenTargets,
     *,
     frame_known: bool,
     targets_known: bool = True,
     rough_beyond: float = np.inf,
 ) -> Placement:
-    chosen = np.flatnonzero(seen[0])
+    chosen = np.flatnonzero(seen.is_seen)
     points = data.points(robot)[chosen]
-    carriers = _carriers(robot, data, chosen, [frames.pairs[target] for target in seen[1]])
+    carriers = _carriers(robot, data, chosen, [seen.pairs[target] for target in seen.names])
     moving = [
         MovingPoint(
             poses,
             points[:, robot.target_names.index(target)],
-            *_expected_place(robot, target, frames.origin(robot, target), known=targets_known),
+            *_expected_place(robot, target, seen.origins[target], known=targets_known),
         )
-        for target, poses in zip(seen[1], carriers, strict=True)
+        for target, poses in zip(seen.names, carriers, strict=True)
     ]
-    T_base_measurement = robot.mechanism.placement(frames.base(robot))
-    ones = np.ones(len(chosen))
+    T_base_measurement, ones = robot.mechanism.placement(seen.base), np.ones(len(chosen))
     return place(moving, ones, T_base_measurement, frame_known=frame_known, rough_beyond=rough_beyond)
 
 
@@ -239,7 +240,7 @@ def _with_guess(
     return _with_values(robot, values)
 
 
-def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Frames) -> dict[str, float]:
+def _orientations(robot: Robot, data: Measurements, seen: _SeenTargets) -> dict[str, float]:
     values: dict[str, float] = {}
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)
@@ -248,12 +249,12 @@ def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Fr
             continue
         if robot.description.targets[instrument.target].orientation == "known":
             continue
-        chosen = seen[readings.visits] & np.isfinite(turned).all(axis=(1, 2))
-        carriers = _carriers(robot, data, readings.visits[chosen], [frames.pairs[instrument.target]])[0][:, :3, :3]
-        base = robot.mechanism.placement(frames.base(robot)).rotation
+        chosen = seen.is_seen[readings.visits] & np.isfinite(turned).all(axis=(1, 2))
+        carriers = _carriers(robot, data, readings.visits[chosen], [seen.pairs[instrument.target]])[0][:, :3, :3]
+        base = robot.mechanism.placement(seen.base).rotation
         turns = scipy.spatial.transform.Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen])
         mean = pin.SE3(turns.mean().as_matrix(), np.zeros(3))
-        values |= _values_at(robot, frames.origin(robot, instrument.target), mean, ANGLE_COMPONENTS)
+        values |= _values_at(robot, seen.origins[instrument.target], mean, ANGLE_COMPONENTS)
     return values
 
 

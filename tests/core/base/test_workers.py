@@ -164,8 +164,9 @@ def test_there_are_no_more_processes_than_pieces_of_work() -> None:
         with Workers(jobs, pieces=pieces) as executor:
             assert executor is None
     with Workers(8, pieces=2) as executor:
-        list(results_in_order(abs, [-1, -2, -3], executor))
+        assert next(results_in_order(abs, [-1, -2, -3, -4], executor)) == 1
         assert len(multiprocessing.active_children()) == 2
+        assert list(results_in_order(abs, [-5, -6, -7], executor)) == [5, 6, 7]  # without those left half-way
     with ThreadPoolExecutor(1) as threads, Workers(threads, pieces=0) as executor:
         assert executor is threads
 
@@ -202,10 +203,12 @@ def test_work_that_is_lost_again_and_again_is_an_error() -> None:
         list(results_in_order(abs, [1], Forgetful([1, 1, 1])))
 
 
-@pytest.mark.quick(0)
-@pytest.mark.parametrize("moment", ["at once", "half way"])
-def test_processes_that_die_are_replaced(tmp_path: Path, moment: str) -> None:
-    with Workers(2) as executor:
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(("broken", "moment"), [(True, "at once"), (False, "at once"), (False, "half way")])
+def test_processes_that_die_are_replaced_and_where_an_executor_breaks_the_rest_is_done_here(
+    tmp_path: Path, broken: bool, moment: str
+) -> None:
+    with Workers(ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) if broken else 2) as executor:
         answers = list(results_in_order(dies_once, [(str(tmp_path), moment, k) for k in range(6)], executor))
         assert answers == [bytes([k] * 1000) for k in range(6)]
         assert list(results_in_order(abs, [-1], executor)) == [1]
@@ -223,12 +226,6 @@ def test_work_or_an_answer_that_cannot_be_read_is_an_error_and_waits_for_nothing
             with pytest.raises(ComputationError, match=r"ended 3 times.*no number"):
                 list(results_in_order(function, items, executor))
         assert list(results_in_order(Shared(5), range(6), executor)) == [0, 5, 10, 15, 20, 25]
-
-
-def test_where_an_executor_breaks_with_its_worker_the_rest_is_done_here(tmp_path: Path) -> None:
-    tasks = [(str(tmp_path), "at once", k) for k in range(6)]
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
-        assert list(results_in_order(dies_once, tasks, executor)) == [bytes([k] * 1000) for k in range(6)]
 
 
 def test_an_error_in_the_work_reaches_the_caller_and_signals_are_as_before() -> None:
@@ -259,12 +256,6 @@ def test_ctrl_c_ends_program_and_processes_at_any_moment(tmp_path: Path, amount:
             os.killpg(program.pid, signal.SIGINT)
             assert program.wait(BUSY) == 130
             assert ended(output)
-
-
-def test_work_that_was_left_half_way_does_not_mix_with_the_next() -> None:
-    with Workers(2) as executor:
-        assert next(results_in_order(abs, [-1, -2, -3, -4], executor)) == 1
-        assert list(results_in_order(abs, [-5, -6, -7, -8], executor)) == [5, 6, 7, 8]
 
 
 def test_what_cannot_be_sent_is_an_error_and_waits_for_nothing() -> None:

@@ -38,6 +38,8 @@ def test_columns_are_found_by_name_in_any_order_and_converted(arm, read):
     assert data.joints.tolist() == [[np.pi, 0.25, 0.1]]
     assert data.readings["tip"].values.tolist() == [[0.1, 0.2, 0.3]]
     assert data.points(arm).tolist() == [[[0.1, 0.2, 0.3]]]
+    moved = with_points(arm, data, data.points(arm) + np.array([0.5, 0, 0]))
+    assert moved.points(arm)[0, 0] == pytest.approx([0.6, 0.2, 0.3], abs=1e-15)
     assert data.ignored == ("note",)
     assert data.names == ("1",)
     assert data.labels == (f"{data.path}, line 4",)
@@ -268,19 +270,14 @@ def test_standard_deviations_and_correlations_are_the_covariance_of_a_row(read):
     np.testing.assert_allclose(data.readings["tip"].covariance[1], 1e-6 * np.diag([16, 25, 36]), rtol=1e-12, atol=1e-20)
 
 
-SETUPS = ARM_YAML.replace("frame: ground", "frame: ground, pose: unknown") + "setups: {first: [], moved: [base]}\n"
-
-
 def test_the_setup_of_a_row_says_from_which_place_it_was_read(tmp_path, read):
-    robot = calib.load(write_arm(tmp_path, SETUPS))
-    header = "turn,slide,wrist,tip_x,tip_y,tip_z,setup\n"
-    data = read(header + "0,0,0,1,2,3,moved\n0.5,0,0,1,2,3,first\n", robot)
-    pairs = robot.pairs["tip"]
-    assert len(pairs) == 2
+    yaml = ARM_YAML.replace("frame: ground", "frame: ground, pose: unknown") + "setups: {first: [], moved: [base]}\n"
+    robot, header = calib.load(write_arm(tmp_path, yaml)), "turn,slide,wrist,tip_x,tip_y,tip_z"
+    data = read(f"{header},setup\n0,0,0,1,2,3,moved\n0.5,0,0,1,2,3,first\n", robot)
     assert data.readings["tip"].pairs.tolist() == [1, 0]
-    text = complaint(read, header + "0,0,0,1,2,3,move\n", robot)
+    text = complaint(read, f"{header},setup\n0,0,0,1,2,3,move\n", robot)
     assert "line 2, column 'setup': no setup 'move'; did you mean 'moved'?" in text
-    text = complaint(read, "turn,slide,wrist,tip_x,tip_y,tip_z\n0,0,0,1,2,3\n", robot)
+    text = complaint(read, f"{header}\n0,0,0,1,2,3\n", robot)
     assert "no column 'setup'; the description names the setups first, moved" in text
 
 
@@ -304,10 +301,3 @@ def test_directions_of_approach_read_back(arm, read, directions):
     given[:, 1] = directions
     again = read(format_measurements(arm, replace(data, approach=given)))
     assert again.approach_directions.tolist() == given.tolist()
-
-
-def test_points_may_be_replaced(arm, read):
-    data = read(HEADER + "a,0,0,0,1,0,0\nb,1,0,0,2,0,0\n")
-    moved = with_points(arm, data, data.points(arm) + np.array([0.5, 0, 0]))
-    assert moved.points(arm)[:, 0, 0] == pytest.approx([0.501, 0.502], abs=1e-15)
-    assert data.points(arm)[0, 0, 0] == 1e-3

@@ -135,17 +135,15 @@ def test_noise_that_nobody_states_is_asked_for_before_anything_is_written(tmp_pa
 KINDS = {
     "positions": "  t: {kind: position, target: ball, sigma: {range: 0.01 mm, angle: 5 urad}}\n",
     "poses": "  t: {kind: pose, target: ball, rotation: rpy, sigma: 0.01 mm, sigma_angle: 0.02 mrad}\n",
-    "orientations": "  t: {kind: position, target: ball, sigma: 0.01 mm}\n"
-    "  o: {kind: orientation, target: ball, sigma: 0.01 deg}\n",
-    "tilts": "  t: {kind: position, target: ball, sigma: 0.01 mm}\n"
-    "  o: {kind: orientation, axes: gravity, target: ball, sigma: 0.01 deg}\n",
+    "turns": "  t: {kind: position, target: ball, sigma: 0.01 mm}\n"
+    "  o: {kind: orientation, target: ball, sigma: 0.01 deg}\n"
+    "  tilt: {kind: orientation, axes: gravity, target: ball, sigma: 0.01 deg}\n"
+    "  e: {kind: joint_reading, joint: j4, zero: unknown, sigma: 0.001 deg}\n",
     "distances": "".join(
         f"  d{k}: {{kind: distance, target: ball, end: {{frame: l0, xyz: {xyz}, position: unknown}}, offset: unknown,"
         " sigma: 0.01 mm}\n"
         for k, xyz in enumerate(("[1, 0, 0]", "[0, 1, 0]", "[1, 1, 1]"))
     ),
-    "joint readings": "  t: {kind: position, target: ball, sigma: 0.01 mm}\n"
-    "  e: {kind: joint_reading, joint: j4, zero: unknown, sigma: 0.001 deg}\n",
     "pixels": "".join(
         f"  {name}: {{kind: pixel, target: ball, camera: {{frame: l0, xyz: {xyz}, rpy: {rpy}}}, columns: pixel, sigma:"
         f" 0.1, intrinsics: {INTRINSICS}, points: {POINTS}}}\n"
@@ -185,7 +183,7 @@ LATER = {
 def test_every_kind_goes_through_a_file_and_the_truth_is_found_again(tmp_path, run_calib, kind):
     """With setups where there are any; touches start from joint values that do not touch."""
     pose = ", pose: unknown" if kind == "positions" else ""
-    turned = ", orientation: unknown" if kind in ("poses", "orientations", "tilts", "pixels") else ""
+    turned = ", orientation: unknown" if kind in ("poses", "turns", "pixels") else ""
     target = f"{{frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: unknown{turned}}}"
     yaml = (
         f"{HEAD}priors: false\nbase: {{frame: l0{pose}}}\n"

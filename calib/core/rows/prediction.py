@@ -19,7 +19,7 @@ Reference: jcgm100 (GUM), section 5.2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -37,6 +37,7 @@ from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context, TermSection
+from calib.core.rows.common_motion import CommonMotion, target_poses
 
 CHUNK = 1024
 """Number of poses computed at once."""
@@ -337,7 +338,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         *,
         turns: bool = True,
         counts: BoolArray | None = None,
-        common: Callable[[UncertaintyJacobian], tuple[FloatArray, FloatArray]] | None = None,
+        common: tuple[CommonMotion, FloatArray] | None = None,
     ) -> PositionUncertainty:
         """Predict positions of all targets, loops closed, with the covariance of positions and orientations.
 
@@ -347,9 +348,8 @@ class ParameterUncertainty(ReadOnlyArrays):
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
             turns: Whether to compute the covariance of the orientations.
             counts: Mask of the uncertain quantities that count, (n_uncertain,); all if not given.
-            common: Function that returns the derivative of a common motion of positions and turns as a product, (n,
-                n_targets, 6, m) times (m, n_uncertain). The covariance leaves this motion out; `measured` has the one
-                that includes it.
+            common: A common motion z that the covariance leaves out, and its derivative by the uncertain quantities,
+                (k, n_uncertain); `measured` has the covariance that includes it.
 
         Raises:
             UnreachablePoseError: A loop stays open.
@@ -368,9 +368,9 @@ class ParameterUncertainty(ReadOnlyArrays):
             spread = (jacobian.reshape(-1, len(known)) @ known).reshape(jacobian.shape)  # C is read once
             parts = [(jacobian, spread)]
             if common is not None:
-                motion, following = common(linear)
-                motion = motion[:, :, : jacobian.shape[2]]
-                parts.append((jacobian - motion @ following, spread - motion @ (following @ known)))
+                motion, following = common
+                columns = motion.columns(*target_poses(linear.robot, linear.configurations))[:, :, : jacobian.shape[2]]
+                parts.append((jacobian - columns @ following, spread - columns @ (following @ known)))
             for to, (derivative, spread) in zip((whole, without_common), parts, strict=False):
                 for covariance, rows in zip(to, ROWS, strict=False):
                     covariance[some] = spread[:, :, rows] @ derivative[:, :, rows].swapaxes(2, 3)

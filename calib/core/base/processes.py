@@ -6,9 +6,7 @@ program wait for ever. In `concurrent.futures.ProcessPoolExecutor` a thread read
 while it sends a result, the thread waits for the rest of it.
 
 A process holds the last function that it got. So a function that many pieces of work share, as one object that does
-not change, is sent to each process once.
-
-A process ends with the program that started it, even if the program was killed.
+not change, is sent to each process once. A process ends with the program that started it, even if that was killed.
 """
 
 from __future__ import annotations

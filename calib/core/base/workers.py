@@ -8,9 +8,8 @@ losing a worker has broken it, the rest is done here. Data that all pieces of wo
 study, go to each worker once, if the executor can hold them (processes of `Workers`, and those of Dask); otherwise they
 go with every piece.
 
-The processes of `Workers` end with the program that started them, however it ends: after Ctrl-C, SIGTERM or SIGHUP they
-are stopped before the program is left, and where it dies without a chance to do so (SIGKILL), each of them notices by
-itself. SIGTERM and SIGHUP end the program from within the handler.
+The processes of `Workers` end with the program that started them: after Ctrl-C, SIGTERM or SIGHUP they are stopped
+before the program is left; after SIGKILL, each of them notices by itself (`calib.core.base.processes`).
 """
 
 from __future__ import annotations

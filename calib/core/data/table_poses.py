@@ -91,23 +91,23 @@ def _joints_of_table(
         if name not in names:
             continue
         sensor = sensed.get(name)
-        if sensor in reading and name in table.names:
-            raise DataError(
-                f"{table.path}: column '{table.header(name)}' and inclinometer '{sensor}' give the same joint; leave"
-                " one out"
-            )
-        if name not in table.names and sensor is None:
+        if name in table.names:
+            if sensor in reading:
+                raise DataError(
+                    f"{table.path}: column '{table.header(name)}' and inclinometer '{sensor}' give the same joint;"
+                    " leave one out"
+                )
+            joints[:, j] = table.column(name, robot.mechanism.dimensions[name])
+        elif sensor is None:
             raise DataError(
                 f"{lacking_column(name, robot, table)} (if your file has another name for it, translate that name under"
                 " 'columns' in the robot description)"
             )
-        if name not in table.names and sensor not in reading:
+        elif sensor not in reading:
             raise DataError(
                 f"{table.path}: no column '{name}', and none of inclinometer '{sensor}' for this joint: expected"
                 f" {sensor}_accelerometer_x, ..., or {sensor}_gravity_x, ..., or {sensor}_gravity_tilt_x, ..."
             )
-        if name in table.names:
-            joints[:, j] = table.column(name, robot.mechanism.dimensions[name])
     stated = (robot.description.gravity or GravitySection()).stated_directions(tuple(robot.description.setups))
     down = stated[np.zeros(len(joints), dtype=np.intp) if setups is None else setups]
     for name in reading:

@@ -73,8 +73,8 @@ class NotConvergedError(ComputationError):
     """The iteration stopped before it reached a solution."""
 
 
-def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
-    """Return the hint `"; did you mean 'x'?"`, or the list of valid names, after the words `what`, when none is close.
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """Return the hint `"; did you mean 'x'?"`, or the list of valid names when none is close.
 
     >>> nearest("degrees", ["rad", "deg"])
     "; did you mean 'deg'?"
@@ -95,7 +95,7 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
         return f"; did you mean '{close}'?"
     if not names:
         return "; nothing is valid here"
-    return f"; {what} {listed_columns(names)}"
+    return f"; valid: {listed_columns(names)}"
 
 
 def require_known(name: str, valid: Collection[str], message: str, error: type[Exception] = InputError) -> None:
@@ -110,17 +110,6 @@ def require_package(name: str, missing: str, error: type[Exception] = InputError
         return import_module(name)
     except ImportError:
         raise error(missing) from None
-
-
-def nearest_column(name: str, columns: Collection[str], taken: Collection[str] = ()) -> str:
-    """Return a hint for a column that a file lacks: the nearest one that it has, and all of them.
-
-    Columns that are `taken` mean something else and are not offered.
-    """
-    hint = nearest(name, [column for column in columns if column not in taken], "the file has")
-    if not hint.endswith("?"):
-        return f"; the file has {listed_columns(columns)}"
-    return f"{hint} The file has {listed_columns(columns)}"
 
 
 def listed_columns(columns: Collection[str]) -> str:

@@ -23,7 +23,7 @@ from pydantic import (
     ValidationInfo,
 )
 
-from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.sections import Section
 from calib.core.base.words import warn_once
 
@@ -172,8 +172,7 @@ def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
         if name is None:
             raise ValueError(f"needs a key '{key}', one of {', '.join(registry)}")
         try:
-            if str(name) not in registry:
-                raise ValueError(f"unknown {key} '{name}'{nearest(str(name), registry)}")
+            require_known(str(name), registry, f"unknown {key}", ValueError)
             section = registry[str(name)].section
         except DescriptionError as error:
             raise ValueError(str(error)) from None

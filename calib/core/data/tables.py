@@ -19,7 +19,7 @@ from typing import Any, Protocol, SupportsIndex, TypeGuard, cast
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DataError, nearest_column
+from calib.core.base.errors import DataError, listed_columns, nearest
 from calib.core.base.files import read_text
 from calib.core.base.letters import unseen, visible
 from calib.core.base.own_files import is_mark
@@ -108,8 +108,10 @@ class Table:
 
     def lacks(self, name: str, taken: Collection[str] = ()) -> str:
         """Return the message on a column that is missing; of the columns here, those `taken` are not offered."""
-        hint = nearest_column(name, list(map(self.header, self.names)), set(map(self.header, taken)))
-        return f"{self.path}: no column '{name}'{hint}"
+        columns, used = list(map(self.header, self.names)), set(map(self.header, taken))
+        hint = nearest(name, [column for column in columns if column not in used])
+        hint = f"{hint} The" if hint.endswith("?") else "; the"
+        return f"{self.path}: no column '{name}'{hint} file has {listed_columns(columns)}"
 
     def column(self, name: str, dimension: Dimension | None, *, gaps: bool = False) -> FloatArray:
         """Return a column of numbers of a dimension (None: pure numbers) in SI, (n_rows,).

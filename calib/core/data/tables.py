@@ -241,32 +241,35 @@ def read_table(
     Raises:
         DataError: Unreadable file, no header or rows, duplicate columns, rows of the wrong length.
     """
+    renamed = renamed or {}
     if is_columns(path):
-        columns = [(name, list(path[name])) for name in unique_headers(path)]
-        return _table_of_columns(IN_MEMORY, columns, (), renamed or {})
+        headers = [str(name) for name in (path if isinstance(path, Mapping) else path.columns)]
+        _require_unique(IN_MEMORY, headers)
+        return _table_of_columns(IN_MEMORY, [(name, list(path[name])) for name in headers], (), renamed)
     path = cast("Path | str", path)
+    if growing is not None:
+        return _table_of_lines(str(path), growing, renamed)
     if is_bag(path):
         columns, remarks = load_entry("calib.methods", "bags").read_bag(path)
-        return _table_of_columns(str(path), columns, remarks, renamed or {})
-    other = None if growing is not None or is_workbook(path) else read_other(path, renamed or {})
+        return _table_of_columns(str(path), columns, remarks, renamed)
+    if is_workbook(path):
+        return _table_of_lines(str(path), workbook_lines(path), renamed)
+    other = read_other(path, renamed)
     if isinstance(other, dict):
-        return _table_of_columns(str(path), list(other.items()), (), renamed or {})
-    if other is not None:
-        lines = other
-    elif growing is not None:
-        lines = list(growing)
-    elif is_workbook(path):
-        lines = workbook_lines(path)
-    else:
-        lines = read_text(path, "a CSV file", DataError).split("\n")
-    above = header_line(str(path), lines)
+        return _table_of_columns(str(path), list(other.items()), (), renamed)
+    lines = read_text(path, "a CSV file", DataError).split("\n") if other is None else other
+    return _table_of_lines(str(path), lines, renamed)
+
+
+def _table_of_lines(path: str, lines: Sequence[str], renamed: Mapping[str, str]) -> Table:
+    above = header_line(path, lines)
     comments, filled = _without_comments(lines, above)
     if not filled:
         raise DataError(f"{path}: is empty; expected a header line and rows of numbers")
     first, separator = filled[0], separator_of(lines[filled[0] - 1])
-    cells = {number: _cells(str(path), lines[number - 1], number, separator) for number in filled}
+    cells = {number: _cells(path, lines[number - 1], number, separator) for number in filled}
     header = cells.pop(first)
-    names, units, maps, headers = _header(str(path), header, renamed or {})
+    names, units, maps, headers = _header(path, header, renamed)
     below = units_below(header, cells[filled[1]]) if cells else None
     if below:
         units = tuple(unit or other for unit, other in zip(units, below, strict=True))
@@ -275,11 +278,11 @@ def read_table(
         warn_once(f"{path}: took line {first} for the header, and the lines above it for comments")
     if below:
         warn_once(f"{path}: took the line below the header for units")
-    _check_widths(str(path), cells, len(names), first, separator)
+    _check_widths(path, cells, len(names), first, separator)
     if not cells:
         raise DataError(f"{path}: has a header but no rows")
     rows = tuple(cells.values())
-    return Table(str(path), names, units, rows, tuple(cells), tuple(map(visible, comments)), separator, maps, headers)
+    return Table(path, names, units, rows, tuple(cells), tuple(map(visible, comments)), separator, maps, headers)
 
 
 def _without_comments(lines: Sequence[str], above: int) -> tuple[list[str], list[int]]:
@@ -324,13 +327,10 @@ def _table_of_columns(
     return Table(path, names, units, rows, tuple(range(1, len(rows) + 1)), comments, ",", maps, headers)
 
 
-def unique_headers(table: Columns) -> list[str]:
-    """Return the headers of a table in memory; one that is there twice is a `DataError`."""
-    headers = [str(name) for name in (table if isinstance(table, Mapping) else table.columns)]
-    again = next((name for name in headers if headers.count(name) > 1), None)
+def _require_unique(path: str, names: Sequence[str]) -> None:
+    again = next((name for name in names if names.count(name) > 1), None)
     if again is not None:
-        raise DataError(f"{IN_MEMORY}: column '{again}' appears twice; names must be unique")
-    return headers
+        raise DataError(f"{path}: column '{again}' appears twice; names must be unique")
 
 
 def _as_text(cell: object) -> str:
@@ -367,7 +367,5 @@ def _header(
             raise DataError(f"{path}: column {number} has no name in the header; name it, or remove it")
         names.append(name)
         units.append(unit)
-    for name in names:
-        if names.count(name) > 1:
-            raise DataError(f"{path}: column '{name}' appears twice; names must be unique")
+    _require_unique(path, names)
     return tuple(names), tuple(units), maps, headers

@@ -159,7 +159,7 @@ def touching_configurations(
     errors = np.zeros_like(poses.joints) if off is None else off
     lower, upper = robot.urdf.limits(robot.joint_names)
     lower, upper = np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
-    scale, commands, follows = robot.mechanism.joint_scale, poses.joints, _follows(poses, touches)
+    scale, commands, follows = robot.mechanism.joint_scale, poses.joints.copy(), _follows(poses, touches)
     everyone, given_up = np.arange(len(poses)), np.zeros(len(poses), dtype=bool)
     for _ in range(_ROUNDS):  # because a moved visit can change the direction of approach to the next one
         gaps, slopes = _gaps(robot, poses, commands, errors, touches, everyone)
@@ -179,7 +179,7 @@ def touching_configurations(
             better = left < miss[active]
             gained = active[better]
             stuck = better & (left > _NEARLY) & (left > (1 - _LEAST_GAIN) * miss[active])
-            commands = np.where(np.isin(everyone, gained)[:, None], trial, commands)
+            commands[gained] = trial[gained]
             gaps[gained], slopes[gained], miss[gained] = trial_gaps[better], trial_slopes[better], left[better]
             damping[active] = np.where(better, np.maximum(damping[active] / 10, _SMALLEST_DAMPING), damping[active] * 8)
             active = active[~stuck & (miss[active] >= MET) & (damping[active] < _LARGEST_DAMPING)]

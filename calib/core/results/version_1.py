@@ -168,9 +168,10 @@ class EarlierResult(LoadedResult):
         entries = self.content["joint_terms"].get("undecided")
         if not entries:
             return None
-        bare = UndecidedTerms(stored_terms(entries), (), np.zeros((0, 0)))
-        names, scale, spread = self._matrix("undecided_terms.csv", bare.with_terms(self.robot))
-        return UndecidedTerms(bare.terms, tuple(names), spread / scale[:, None])
+        terms = stored_terms(entries)
+        whole = self.robot.with_terms((*self.robot.description.terms, *terms))
+        names, scale, spread = self._matrix("undecided_terms.csv", whole)
+        return UndecidedTerms(terms, tuple(names), spread / scale[:, None])
 
     @cached_property
     def _residuals(self) -> Table:

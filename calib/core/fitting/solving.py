@@ -20,7 +20,7 @@ from functools import partial
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray
+from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.core.base.workers import Progress
 from calib.core.fitting.curvature import mean_square_beyond_linear
@@ -260,16 +260,17 @@ def uncertainty_at(
             partial(mean_square_beyond_linear, problem, replace(solved.evaluation), rows, solved.groups)
         )
     poses = scatter_of_poses(rows, span, factors, solved.weights)
+    arguments = span, layout.group, known, factors, unknowns.scales, model.prior, poses, beyond_linear
     if seen is None:
-        scales, by_sizes = unknowns.scales, None
-    else:
-        scales, by_sizes = np.ones(len(seen.family)), variance_by_sizes(known.covariance, seen.family, model.deviations)
-        rows.remember_span(model.span)
-    uncertainty = statistics(span, layout.group, known, factors, scales, model.prior, poses, by_sizes, beyond_linear)
-    if seen is not None:
-        every = seen.covariance(uncertainty.covariance, unseen_variances(known.covariance, seen.family))
-        uncertainty = uncertainty.with_covariance(every, unknowns.scales, rows.prior.has)
-    return rows, solved.groups, uncertainty
+        return rows, solved.groups, statistics(*arguments)
+    rows.remember_span(model.span)
+    by_sizes = variance_by_sizes(known.covariance, seen.family, model.deviations)
+    unseen = unseen_variances(known.covariance, seen.family)
+
+    def expand(of_components: FloatArray) -> tuple[FloatArray, BoolArray]:
+        return seen.covariance(of_components + by_sizes, unseen), rows.prior.has
+
+    return rows, solved.groups, statistics(*arguments, expand)
 
 
 def scatter_of_poses(

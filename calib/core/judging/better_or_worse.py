@@ -15,7 +15,7 @@ noise that was itself found, with f degrees of freedom: so F replaces the chi-sq
 distribution. The unknown e is replaced by the errors of the better state, where they are larger than the noise, because
 they contain errors of the model. Where poses scatter more than independent readings
 (`calib.core.numerics.clusters`), the mixed part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
-Validation poses whose frame moved are compared with the frame placed anew (`calib.core.fitting.moved_frame`).
+Validation poses whose frame moved are compared with the frame placed anew (`calib.core.fitting.unseen_errors`).
 
 This test asks whether the uncertainty of the fit explains the change. A fit that is uncertain at unused poses explains
 much, and harms the robot nevertheless. So a calibration is `worse`, too, if errors are more than `HARM` times as large

@@ -140,9 +140,8 @@ def slopes(loss: Loss, distance: FloatArray, c: FloatArray | float, k: IntArray 
 
 def efficiency(loss: Loss, c: float, k: int) -> float:
     """Return the part of the information of normal data that a loss keeps."""
-    slope = _mean(lambda d: float(slopes(loss, np.array(d), c, k)), c, k)
-    score = _mean(lambda d: float(weights(loss, np.array(d), c)) ** 2 * d**2, c, k) / k
-    return slope**2 / score
+    slope = _mean(lambda d: slopes(loss, d, c, k), c, k)
+    return slope**2 / (_mean(lambda d: weights(loss, d, c) ** 2 * d**2, c, k) / k)
 
 
 def scale_of(distances: FloatArray, widths: IntArray, n_effective: float) -> float:
@@ -187,24 +186,19 @@ def robust_factors(loss: Loss, distances: FloatArray, widths: IntArray, scale: f
 def _normal_moments(loss: Loss, k: int) -> tuple[float, float]:
     """E[w] and E[w d^2] / k for normal readings of k rows with noise 1."""
     c = constant(loss, k)
-    return (
-        _mean(lambda d: float(weights(loss, np.array(d), c)), c, k),
-        _mean(lambda d: float(weights(loss, np.array(d), c)) * d**2, c, k) / k,
-    )
+    return _mean(lambda d: weights(loss, d, c), c, k), _mean(lambda d: weights(loss, d, c) * d**2, c, k) / k
 
 
-def _mean(function: Callable[[float], float], kink: float, k: int) -> float:
+def _mean(function: Callable[[FloatArray], FloatArray], kink: float, k: int) -> float:
     """Mean over the chi distribution with k degrees of freedom; the integrand may have a kink."""
+    size = (0.5 * k - 1.0) * np.log(2.0) + scipy.special.gammaln(0.5 * k)
 
-    def density(d: float) -> float:
-        return float(
-            d ** (k - 1) * np.exp(-0.5 * d**2 - (0.5 * k - 1.0) * np.log(2.0) - scipy.special.gammaln(0.5 * k))
-        )
+    def integrand(d: float) -> float:
+        return float(function(np.array(d)) * d ** (k - 1) * np.exp(-0.5 * d**2 - size))
 
     middle = min(kink, 15.0)
-    inner, _ = scipy.integrate.quad(lambda d: function(d) * density(d), 0.0, middle)
-    outer, _ = scipy.integrate.quad(lambda d: function(d) * density(d), middle, max(30.0, 2.0 * middle))
-    return float(inner + outer)
+    limits = ((0.0, middle), (middle, max(30.0, 2.0 * middle)))
+    return float(sum(scipy.integrate.quad(integrand, *ends)[0] for ends in limits))
 
 
 @dataclass(frozen=True, eq=False)

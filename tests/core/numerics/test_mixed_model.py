@@ -101,7 +101,7 @@ def test_the_information_is_half_the_trace_of_dense_products(small):
 
 def by_components(model, derivative):
     """Derivatives by the components, from those by all columns."""
-    return derivative @ np.stack([model.coefficients(unit) for unit in np.eye(model.x.shape[1])], axis=1)
+    return derivative @ model.components.coefficients(np.eye(model.x.shape[1]))
 
 
 def test_coefficients_and_their_covariance_are_those_of_normal_numbers_given_the_rows(small):

@@ -61,11 +61,6 @@ def test_without_families_nothing_is_added():
     assert not np.any(variance_by_sizes(np.eye(3), np.full(3, -1), np.ones(3)))
 
 
-def test_what_the_data_do_not_see_is_as_uncertain_as_its_size():
-    added = variance_by_sizes(np.eye(2), np.array([0, 0]), np.zeros(2))
-    assert np.allclose(added, 2.0 * np.eye(2))  # V = 1: a quarter of the way to a factor e^2 in variance
-
-
 @pytest.mark.quick(0)
 def test_intervals_of_families_that_are_hardly_seen_hold():
     rng = np.random.default_rng(1)

@@ -34,12 +34,13 @@ from calib.core.base.workers import Steps
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.pose_checks import check_measurements, keeps_limits, require_identifiable
+from calib.core.fitting.pose_checks import check_measurements, require_identifiable
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.fitting.robust import RobustSolution
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import convergence_at, place, reset_unseen, solve_from, uncertainty_at
 from calib.core.robots.configurations import Configurations
+from calib.core.robots.loops import are_within_limits
 from calib.core.robots.robot import Robot
 from calib.core.rows.determination import Determination
 from calib.core.rows.observed import observe
@@ -138,7 +139,8 @@ def minimum_of(
     begin = reset_unseen(problem, start)
     determined = require_identifiable(problem, begin, alone=nearby.free_alone)  # before the solver
     solved = solve_from(problem, begin, settings, workers, steps.advance)
-    if not keeps_limits(solved.evaluation):
+    end = solved.evaluation
+    if not np.all(are_within_limits(end.robot.mechanism, end.configurations.passive)):  # on its way it may exceed them
         solved = solve_from(replace(problem, limits=True), begin, settings, workers, steps.advance)
     steps.advance()
     require_identifiable(problem, solved.evaluation, alone=True)

@@ -18,7 +18,6 @@ from calib.core.data.measurements import Measurements
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
-from calib.core.robots.loops import are_within_limits
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Condition
 from calib.core.rows.determination import Determination, determination
@@ -30,11 +29,6 @@ _ALONE = 1e-3  # least spread of poses along a direction of joint space, as part
 _LINE = 1e-3  # positions lie on one line if width over length is less
 _FILLED = 0.75  # values over more than this part of a turn are near both of its ends, and may be wrapped there
 _ROUND = 1e-3  # beyond the ends of a turn, values that were rounded [rad]
-
-
-def keeps_limits(final: Evaluation) -> bool:
-    """Return whether passive joints keep their limits at the end of a fit; they may exceed them on its way."""
-    return bool(np.all(are_within_limits(final.robot.mechanism, final.configurations.passive)))
 
 
 def check_measurements(robot: Robot, data: Measurements) -> None:

@@ -202,9 +202,8 @@ def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measu
 def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tuple[str, ...]:
     """Return the free parameters of places that the readings of `later` depend on, and those of `data` do not.
 
-    Examples are a tool or a tracker mounted anew for the validation. Such a place carries no information about the
-    robot, so the later readings alone place it, before and after calibration: the errors that remain are the robot's
-    own. With few poses in a small part of joint space such a place can absorb errors of the robot.
+    Such a place (a tool mounted anew) carries no information about the robot, so the later readings alone place it,
+    before and after calibration. With few poses in a small part of joint space it can absorb errors of the robot.
     """
     if later is None:
         return ()
@@ -219,10 +218,7 @@ def free_places(robot: Robot, origins: set[str]) -> tuple[str, ...]:
 
 
 def place_from_data(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robot:
-    """Return a robot with some places determined by measurements alone, and all other parameters unchanged.
-
-    Args:
-        robot: The robot, before or after calibration; only free parameters of the places change.
+    """Return a robot with some places determined by measurements alone; only free parameters of the places change.
 
     Raises:
         NotConvergedError: The places cannot be found.

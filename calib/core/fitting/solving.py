@@ -191,15 +191,12 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> R
 def scales_found(
     problem: Problem, evaluation: Evaluation, groups: FloatArray, *, rough: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Find the scales of the groups `noise_found`, and factors on the sigmas of families, from the residuals.
+    """Find scales of groups (n_groups,), 1 unless `noise_found`, and factors on sigmas of families (n_families,).
 
     Args:
         evaluation: An evaluation near the minimum, whose linear model counts.
         groups: Scales to start from, (n_groups,).
         rough: As in `find_sizes`.
-
-    Returns:
-        Scales of the groups (n_groups,), factors of the families (n_families,).
     """
     unknowns = problem.unknowns
     first = [int(np.argmax(unknowns.family == k)) for k in range(len(unknowns.families))]

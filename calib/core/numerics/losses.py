@@ -109,14 +109,21 @@ def _values_by_width(function: Callable[[int], float], widths: IntArray) -> Floa
 
 def weights(loss: Loss, distance: FloatArray, c: FloatArray | float) -> FloatArray:
     """Return the weights of readings at distances d >= 0 over the scale, (n_readings,), for one constant c or each."""
+    return _weights_and_changes(loss, distance, c)[0]
+
+
+def _weights_and_changes(loss: Loss, distance: FloatArray, c: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+    """Weights w of `weights`, and w' d."""
     d = np.asarray(distance, dtype=float)
     if loss == "huber":
-        return np.minimum(1.0, c / np.maximum(d, 1e-300))
-    if loss == "cauchy":
-        return np.asarray(1.0 / (1.0 + (d / c) ** 2))
+        w = np.minimum(1.0, c / np.maximum(d, 1e-300))
+        return w, np.where(d > c, -w, 0.0)
+    square = (d / c) ** 2  # 0 without a robust loss
     if loss == "tukey":
-        return np.asarray(np.where(d < c, (1.0 - (d / c) ** 2) ** 2, 0.0))
-    return np.ones_like(d)
+        inside = np.maximum(1.0 - square, 0.0)
+        return inside**2, -4.0 * square * inside
+    w = np.asarray(1.0 / (1.0 + square))
+    return w, -2.0 * square * w**2
 
 
 def weights_of(loss: Loss, distance: FloatArray, widths: IntArray) -> FloatArray:
@@ -126,16 +133,8 @@ def weights_of(loss: Loss, distance: FloatArray, widths: IntArray) -> FloatArray
 
 def slopes(loss: Loss, distance: FloatArray, c: FloatArray | float, k: IntArray | int) -> FloatArray:
     """Return w + w' d / k, the mean over k rows of d(w r)/dr, of distances d (n_readings,)."""
-    d = np.asarray(distance, dtype=float)
-    w = weights(loss, d, c)
-    if loss == "huber":
-        return np.asarray(np.where(d > c, w * (1.0 - 1.0 / np.asarray(k)), w))
-    if loss == "cauchy":
-        return np.asarray(w - 2.0 * (d / c) ** 2 * w**2 / k)
-    if loss == "tukey":
-        inside = np.maximum(1.0 - (d / c) ** 2, 0.0)
-        return np.asarray(w - 4.0 * (d / c) ** 2 * inside / k)
-    return w
+    w, change = _weights_and_changes(loss, distance, c)
+    return np.asarray(w + change / k)
 
 
 def efficiency(loss: Loss, c: float, k: int) -> float:

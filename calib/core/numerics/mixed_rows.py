@@ -93,10 +93,9 @@ class FamilyPart(ReadOnlyArrays):
     def from_columns(
         members: IntArray, columns: FloatArray, family: int, least: float = 0.0, aside: float = _ASIDE
     ) -> FamilyPart:
-        """Return the part of the columns of a family, (n_rows, n).
+        """Return the part of the columns of a family, (n_rows, n), whose components are at least `least` long.
 
-        Components of a family are dropped if they are shorter than `least`, or than the part `aside` of the longest.
-        Of columns with known priors, all stay if `least` is 0; else rows must see that part, too.
+        They have at least the part `aside` of the longest; of columns with known priors all stay if `least` is 0.
         """
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)

@@ -319,15 +319,13 @@ class _Bounds(ReadOnlyArrays):
     @staticmethod
     def from_model(model: MixedModel) -> _Bounds:
         flat = model.x[:, model.family == FLAT]  # orthonormal
-        left, group = model.y - flat @ (flat.T @ model.y), model.rows.group
-        freedom = model.rows.stands_for - np.sum(flat**2, axis=1)
-        squares = [
-            float(np.sum(left[group == g] ** 2)) / max(float(np.sum(freedom[group == g])), _LEAST_FREEDOM)
-            for g in model.unstated_groups
-        ]
+        left, rows = model.y - flat @ (flat.T @ model.y), model.rows
+        freedom, n = rows.stands_for - np.sum(flat**2, axis=1), len(rows.has_stated_noise)
+        squares = np.bincount(rows.group, left**2, n) / np.maximum(np.bincount(rows.group, freedom, n), _LEAST_FREEDOM)
+        squares = squares[model.unstated_groups]
         if model.scatters:
-            squares.append(float(np.mean(left**2)) / max(float(np.mean(model.spread)), _NOTHING))
-        left_by_flat = 0.5 * np.log(np.array(squares) + _NOTHING)
+            squares = np.append(squares, np.mean(left**2) / max(float(np.mean(model.spread)), _NOTHING))
+        left_by_flat = 0.5 * np.log(squares + _NOTHING)
         if model.scatters:
             least, first, most = left_by_flat + np.log(_LEAST_PART), left_by_flat - 1.0, left_by_flat
         else:

@@ -141,11 +141,10 @@ def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[Term
     for section in sections:
         kind = TERMS[section.term]
         having = {term.joint for term in robot.terms if type(term) is kind and term.answers(section)}
-        if not having & ({*robot.joint_names} if section.joint == "all" else {section.joint}):
-            missing.append(section)
-            continue
-        names = robot.joint_names if section.joint == "all" else ()
-        missing += [section.model_copy(update={"joint": name}) for name in names if name not in having]
+        joints = robot.joint_names if section.joint == "all" else (section.joint,)
+        left = [joint for joint in joints if joint not in having]
+        all_miss = len(left) == len(joints)
+        missing += [section] if all_miss else [section.model_copy(update={"joint": joint}) for joint in left]
     return tuple(missing)
 
 

@@ -44,11 +44,6 @@ def test_a_step_that_cannot_be_assembled_is_halved(tmp_path, monkeypatch):
     assert failed[1] < failed[0] - 2
 
 
-def test_no_start_is_an_error(arm):
-    with pytest.raises(calib.InputError, match="starts 0"):
-        calib.fit(arm, noisy(arm, joints(40), 4e-5, seed=1), starts=0)
-
-
 @pytest.fixture(scope="module")
 def wrong_zeros(tmp_path_factory):
     """An arm with four unknown zeros, and measurements of one whose zeros lie in another valley than nominal."""

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from calib import Fit, Robot
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray, evenly_spread
 from calib.core.base.units import DISPLAY_UNIT, in_unit
 from calib.core.base.words import count_noun
 from calib.core.fitting.error_sets import STATES
@@ -20,12 +20,10 @@ from viz.decorations import decorations_of
 from viz.drive import drive_data
 from viz.geometry import read_shapes
 from viz.instrument_shapes import instrument_shapes, wires
-from viz.judgement import Judgement
-from viz.judgement import judgement_of_fit as judgement_of_fit
+from viz.judgement import Judgement, judgement_of_fit
 from viz.pose_sources import from_fit
 from viz.poses import PoseTable, empty, rows_shown
-from viz.reading_errors import ReadingErrors
-from viz.reading_errors import reading_errors_of_fit as readings_of_fit
+from viz.reading_errors import ReadingErrors, reading_errors_of_fit
 from viz.remarks import fit_remarks, remarks
 from viz.shapes import Shape
 from viz.surroundings import surrounding_shapes
@@ -142,12 +140,11 @@ def scene_of_fit(fit: Fit, judgement: Judgement | None = None) -> ViewerScene:
     """Return the scene of a fit, with a given verdict or its own."""
     verdict, notes = judgement or judgement_of_fit(fit), fit.reported_uncertainty.notes
     comments, others = fit_remarks(fit), other_errors(fit.nominal, instrument_blocks(fit), fit.errors)
-    table, readings = from_fit(fit), readings_of_fit(fit)
     return build_scene(
         fit.placed,
         fit.robot,
-        table,
-        readings,
+        from_fit(fit),
+        reading_errors_of_fit(fit),
         verdict=verdict,
         uncertainty_notes=notes,
         comments=comments,
@@ -336,7 +333,7 @@ def _view(
     number = {name: body for body, name in enumerate(bodies.names)}
     robot = [np.zeros((0, 3))]
     corners = [(number[str(shape.body)], shape.corners()) for shape in shapes]
-    for matrices in bodies.matrices(solid, np.unique(np.linspace(0, len(solid.values) - 1, _LOOKED_AT).astype(int))):
+    for matrices in bodies.matrices(solid, evenly_spread(len(solid.values), _LOOKED_AT)):
         robot += [own @ matrices[body, :3, :3].T + matrices[body, :3, 3] for body, own in corners]
     predicted = table.before if not np.any(np.isfinite(table.after)) else table.after
     points = predicted[np.all(np.isfinite(predicted), axis=1)]

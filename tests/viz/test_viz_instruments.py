@@ -18,8 +18,9 @@ from tests.viz.viz_examples import saved_scene, undrawn, words_of
 from viz.error_charts import error_charts
 from viz.inputs import gather
 from viz.instrument_shapes import instrument_shapes
-from viz.pose_sources import from_fit, from_measurements
-from viz.reading_errors import reading_errors_of_measurements, smallest_motion
+from viz.pose_sources import from_fit, measured_set
+from viz.poses import PredictingRobot, average_poses
+from viz.reading_errors import reading_errors_of_set, smallest_motion
 from viz.scene import build_scene, scene_of_fit
 from viz.scene_data import scene_data
 
@@ -338,7 +339,8 @@ def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_
     read = predict_readings(actual, made, looks)
     for name, k in (("probe", 3), ("table", 1)):
         read[name] = dataclasses.replace(looks[name], values=np.zeros((3, k)))
-    layers = reading_errors_of_measurements(measurements(as_poses(nominal, q), read), nominal, actual)
+    data, known = measurements(as_poses(nominal, q), read), PredictingRobot(actual, lambda *_: None)
+    layers = reading_errors_of_set(measured_set(data, nominal, known, {}), actual)
     by_name = {layer.part.name: layer for layer in layers}
     ball, second = nominal.positions(q).transpose(1, 0, 2)
     sockets = np.array([[0.5, 0.4, 0.1], [0.5, 0.2, 0.1], [0.5, 0.4, 0.1]])
@@ -375,7 +377,8 @@ def test_what_has_no_derivative_has_no_arrow():
 
 
 def from_poses(robot, q):
-    return from_measurements(calib.as_measurements(robot, q, {"wire": np.ones((len(q), 1))}), robot, None, {})
+    data = calib.as_measurements(robot, q, {"wire": np.ones((len(q), 1))})
+    return average_poses(measured_set(data, robot, None, {}).table())
 
 
 def test_a_board_is_drawn_with_a_patch_around_each_of_its_points(tmp_path):

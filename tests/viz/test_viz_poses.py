@@ -6,7 +6,7 @@ import pytest
 import calib
 from tests.viz.viz_examples import measurements, medrue_fit, medrue_robot, pose_table, saved_scene, spoiled, spoiled_fit
 from viz.inputs import gather
-from viz.pose_sources import from_fit, from_measurements
+from viz.pose_sources import from_fit, measured_set
 from viz.poses import empty
 
 
@@ -85,7 +85,7 @@ def test_a_result_folder_gives_the_same_table(tmp_path):
 
 def test_measurements_without_a_calibrated_robot_have_no_error_after(robot):
     data = measurements(np.arange(4))
-    table = from_measurements(data, robot, None, {})
+    table = measured_set(data, robot, None, {}).table()
     assert np.isnan(table.after).all()
     np.testing.assert_allclose(table.before, robot.positions(data.joints)[:, 0])
     assert set(table.group) == {"measured"}

@@ -60,7 +60,7 @@ class Commands(click.Group):
             command: click.Command = import_module(_COMMANDS[cmd_name][0]).command
             return command
         if cmd_name in pictures.commands():
-            return pictures.command(cmd_name)
+            return pictures.named(cmd_name).command
         for name in self.list_commands(ctx):  # click names the nearest of them
             self.add_command(click.Command(name))
         return None
@@ -77,7 +77,7 @@ class Commands(click.Group):
             with formatter.section(title):
                 formatter.write_dl(
                     [
-                        (name.ljust(width), _COMMANDS[name][1] if name in _COMMANDS else pictures.summary(name))
+                        (name.ljust(width), _COMMANDS[name][1] if name in _COMMANDS else pictures.named(name).summary)
                         for name in group
                     ]
                 )

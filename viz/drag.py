@@ -87,7 +87,7 @@ class DraggedView:
         target = shown.solid.target_names[0]
         self._target = space.add_transform_controls(
             f"/scene/{target}",
-            scale=_HANDLES * self._size,
+            scale=_HANDLES * scene.view.size,
             disable_rotations=True,
         )
         self._target.on_update(lambda _: self.reach(np.array(self._target.position)))
@@ -110,14 +110,9 @@ class DraggedView:
             places.append(T[..., :3, 3].reshape(-1, 3) @ view.upright.T)
         every = np.concatenate(places)
         middle = (every.min(axis=0) + every.max(axis=0)) / 2
-        radius = float(np.max(np.linalg.norm(every - middle, axis=1))) + _HANDLES * self._size
+        radius = float(np.max(np.linalg.norm(every - middle, axis=1))) + _HANDLES * scene.view.size
         camera.look_at, camera.fov = middle, _FIELD_OF_VIEW
         camera.position = middle + radius / np.sin(_FIELD_OF_VIEW / 2) * view.direction
-
-    @property
-    def _size(self) -> float:
-        """Size of the scene [m]."""
-        return float(np.linalg.norm(self._shown.scene.view.high - self._shown.scene.view.low))
 
     @property
     def url(self) -> str:
@@ -178,7 +173,7 @@ class DraggedView:
         scene = self._shown.scene
         state = (scene.states or ("before",))[-1]
         factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
-        size = self._size
+        size = scene.view.size
         for rows, factor in zip(rows_of(scene), factors, strict=True):
             known = np.isfinite(rows.anchors).all(axis=1) & np.isfinite(rows.sizes(state))
             if not np.any(known):

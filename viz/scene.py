@@ -16,7 +16,6 @@ from calib.core.base.words import count_noun
 from calib.core.fitting.error_sets import STATES
 from calib.core.results.sections.noise import instrument_blocks
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
-from viz.decorations import decorations_of
 from viz.drive import drive_data
 from viz.geometry import read_shapes
 from viz.instrument_shapes import instrument_shapes, wires
@@ -26,7 +25,7 @@ from viz.poses import PoseTable, empty, rows_shown
 from viz.reading_errors import ReadingErrors, reading_errors_of_fit
 from viz.remarks import fit_remarks, remarks
 from viz.shapes import Shape
-from viz.surroundings import surrounding_shapes
+from viz.surroundings import decorations_of, surrounding_shapes
 from viz.workspace_map import WorkspaceMap
 
 _NICE = (1.0, 2.0, 5.0)
@@ -54,6 +53,11 @@ class SceneView:
     high: FloatArray
     outline: FloatArray
     direction: FloatArray
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the box [m]."""
+        return float(np.linalg.norm(self.high - self.low))
 
 
 @dataclass(frozen=True)
@@ -191,7 +195,7 @@ def build_scene(
     shapes += instrument_shapes(solid_robot) + surrounding_shapes(solid_robot)
     decorations = (*decorations_of(nominal.name), *wires(solid_robot, bodies, solid))
     view = _view(bodies, solid, shapes, decorations, table)
-    size = float(np.linalg.norm(view.high - view.low))
+    size = view.size
     every = [
         (table.measured, {state: table.error(state) for state in STATES}),
         *((errors.anchors, {state: errors.arrows(state) for state in STATES}) for errors in kept),

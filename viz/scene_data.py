@@ -164,7 +164,7 @@ def colours() -> NDArray[np.uint8]:
 
 def point_radius(scene: ViewerScene) -> float:
     """Return a radius [m] at which points are easy to see and rarely hide each other."""
-    size = float(np.linalg.norm(scene.view.high - scene.view.low))
+    size = scene.view.size
     anchors = np.concatenate([rows.anchors for rows in rows_of(scene)])
     grid = max(_SAME * size, 1e-6)  # points of several instruments at one place count once
     points = grid * np.unique(np.round(anchors[np.isfinite(anchors).all(axis=1)] / grid), axis=0)
@@ -301,7 +301,7 @@ def _components(errors: ReadingErrors, state: str) -> FloatArray:
 
 def _map(scene: ViewerScene, known: WorkspaceMap) -> dict[str, Any]:
     """The map, with a first enlargement that makes typical ellipsoids visible."""
-    size = float(np.linalg.norm(scene.view.high - scene.view.low))
+    size = scene.view.size
     longest = np.linalg.norm(known.half_axes, axis=1).max(axis=1, initial=0.0)
     typical = float(np.median(longest)) if len(longest) else float("nan")
     return {

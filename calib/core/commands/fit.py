@@ -26,8 +26,7 @@ from calib.core.commands.next_steps import advice_after_fit, options_as_typed
 from calib.core.data.measurement_files import read_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.judging.rules_model import why_no_origins
-from calib.core.results.result_content import to_dict
-from calib.core.results.results import RESULT_FILES
+from calib.core.results.results import RESULT_FILES, to_dict
 from calib.core.robots.robot import Robot
 
 _FOLDER = "out/robot"  # in the proposed next step, if the user named no folder

@@ -192,7 +192,7 @@ def smallest_motion(by_motion: FloatArray, residuals: FloatArray) -> tuple[Float
 
 
 def _seen_readings(robot: Robot, data: Measurements) -> dict[str, _SeenReadings]:
-    """What readings depend on, by instrument."""
+    """The observed points and frames of readings, by instrument."""
     configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
     mechanism, base = robot.mechanism, robot.mechanism.targets[0].a
     views, result = views_of_instruments(robot, configurations, data.readings), {}

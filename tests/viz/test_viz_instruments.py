@@ -14,7 +14,7 @@ from calib.core.instruments.kinds import KINDS
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.rows.observed import predict_readings
 from tests.six_axis_arm import FREE, joints, write_six_axis
-from tests.viz.viz_examples import saved_scene, undrawn, words_of
+from tests.viz.viz_examples import assert_saved_alike, undrawn, words_of
 from viz.error_charts import error_charts
 from viz.inputs import gather
 from viz.instrument_shapes import instrument_shapes
@@ -55,9 +55,7 @@ def test_a_target_that_was_not_seen_has_no_row(tmp_path):
     assert len(table) == 70
     np.testing.assert_allclose(table.measured[2], positions[1, 1])
     np.testing.assert_allclose(table.after[2], fit.robot.positions(q[:2])[1, 1], atol=1e-10)
-    saved = saved_scene(fit, tmp_path).poses
-    assert (saved.labels, saved.targets) == (table.labels, table.targets)
-    np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
+    assert_saved_alike(fit, tmp_path)
     assert undrawn(fit).count("<figure") == 10
 
 
@@ -75,10 +73,7 @@ def test_repeats_of_a_pose_are_one_row_with_the_mean_of_their_readings(tmp_path)
     np.testing.assert_allclose(table.measured[2], positions[[3, 5], 0].mean(axis=0))
     np.testing.assert_allclose(table.measured[3], positions[3:6, 1].mean(axis=0))
     np.testing.assert_allclose(table.sigma, fit.sigma / np.sqrt(table.readings))
-    saved = saved_scene(fit, tmp_path).poses
-    for name in ("measured", "before", "after", "sigma", "spread"):
-        np.testing.assert_allclose(getattr(saved, name), getattr(table, name), rtol=1e-6, atol=1e-12)
-    assert (saved.readings.tolist(), saved.place.tolist()) == (table.readings.tolist(), table.place.tolist())
+    assert_saved_alike(fit, tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -94,10 +89,7 @@ def test_poses_are_shown_by_their_positions(pose_fit, tmp_path):
     np.testing.assert_allclose(table.measured[:40], values[:, :3])
     np.testing.assert_allclose(table.error("after")[:40], pose_fit.identification.after["ball"][:, :3], atol=1e-15)
     np.testing.assert_allclose(table.sigma, pose_fit.sigma)
-    saved = saved_scene(pose_fit, tmp_path).poses
-    np.testing.assert_allclose(saved.measured, table.measured, atol=1e-12)
-    np.testing.assert_allclose(saved.error("after"), table.error("after"), atol=1e-12)
-    np.testing.assert_allclose(saved.sigma, table.sigma)
+    assert_saved_alike(pose_fit, tmp_path)
 
 
 def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
@@ -154,20 +146,14 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     assert [chart.name for chart in error_charts(fit, scene)] == [
         f"distance-{name}" for name in ("errors", "order", "planes", "by-joint")
     ]
-    saved = saved_scene(fit, tmp_path)
-    for name in ("anchors", "before", "after", "residuals_before", "residuals_after"):
-        np.testing.assert_allclose(getattr(saved.readings[0], name), getattr(shown_errors, name), rtol=1e-5, atol=1e-9)
-    assert (saved.readings[0].labels, saved.readings[0].targets) == (shown_errors.labels, shown_errors.targets)
-    np.testing.assert_allclose(saved.poses.after, table.after, atol=1e-9)
-    np.testing.assert_allclose(saved.poses.before, table.before, atol=1e-9)
+    assert_saved_alike(fit, tmp_path)
     off = fit.identification.tables()["ball"]["distance"]
-    for shown in (scene, saved):
-        (other,) = shown.others
-        assert (other["of"], other["part"], other["unit"]) == ("ball", "distance", "mm")
-        (errors,) = other["sets"]
-        assert errors["group"] == "identification"
-        for state in ("before", "after"):
-            np.testing.assert_allclose(errors[state], [off[state]["rms"], off[state]["max"]], rtol=1e-9)
+    (other,) = scene.others
+    assert (other["of"], other["part"], other["unit"]) == ("ball", "distance", "mm")
+    (errors,) = other["sets"]
+    assert errors["group"] == "identification"
+    for state in ("before", "after"):
+        np.testing.assert_allclose(errors[state], [off[state]["rms"], off[state]["max"]], rtol=1e-9)
     assert content["others"][0]["sets"] == scene.others[0]["sets"]
     alone = gather(robot, None, data).scene
     assert alone.states == ("before",)
@@ -181,11 +167,10 @@ def test_readings_of_several_instruments_have_one_headline_and_the_report_draws_
     robot = arm(tmp_path, f"instruments: {{{', '.join(wires)}}}\n")
     fit = calib.fit(robot, calib.simulate(bent(robot), joints(60), None, np.random.default_rng(4)))
     after = 1e3 * np.abs(np.concatenate([fit.identification.after[name] for name in ends]))
-    for scene in (scene_of_fit(fit), saved_scene(fit, tmp_path)):
-        headline, *each = scene_data(scene)["others"]
-        assert (headline["of"], headline["part"], headline["several"]) == ("3 instruments", "distance", True)
-        assert headline["sets"][0]["after"] == pytest.approx([np.sqrt(np.mean(after**2)), after.max()], rel=1e-9)
-        assert [item["of"] for item in each] == list(ends)
+    headline, *each = scene_data(assert_saved_alike(fit, tmp_path))["others"]
+    assert (headline["of"], headline["part"], headline["several"]) == ("3 instruments", "distance", True)
+    assert headline["sets"][0]["after"] == pytest.approx([np.sqrt(np.mean(after**2)), after.max()], rel=1e-9)
+    assert [item["of"] for item in each] == list(ends)
 
 
 def test_poses_at_which_nothing_was_read_are_not_counted_and_have_no_error(tmp_path):
@@ -220,7 +205,7 @@ def test_a_tracker_can_validate_what_distances_identified(tmp_path):
     assert "Position error (RMS) before and after calibration, 20 poses (validation)" in shown
     assert "Distance error [mm] poses" in shown
     assert "noise of one reading 0.0" in shown
-    np.testing.assert_allclose(saved_scene(fit, tmp_path).poses.after, table.after, atol=1e-9)
+    assert_saved_alike(fit, tmp_path)
 
 
 def test_points_of_a_later_setup_are_shown_in_the_frame_of_the_first(tmp_path):
@@ -236,9 +221,7 @@ def test_points_of_a_later_setup_are_shown_in_the_frame_of_the_first(tmp_path):
     first, later = (np.array([target == name for target in table.targets]) for name in ("ball", "ball@second"))
     np.testing.assert_allclose(table.measured[later], table.measured[first], atol=1e-6)
     np.testing.assert_allclose(table.after[later], table.after[first], atol=1e-6)
-    saved = saved_scene(fit, tmp_path).poses
-    assert saved.targets == table.targets
-    np.testing.assert_allclose(saved.measured, table.measured, atol=1e-9)
+    assert_saved_alike(fit, tmp_path)
     shown = gather(robot, tmp_path / "out")
     np.testing.assert_allclose(shown.ghost.values, fit.placed.values, atol=1e-6)
 

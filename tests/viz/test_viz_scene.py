@@ -9,16 +9,11 @@ import calib
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
 from tests.urdf_trees import plain, urdf_of
-from tests.viz.viz_examples import medrue_robots, pose_table
+from tests.viz.viz_examples import pose_table
 from viz.judgement import judgement_of_result
 from viz.scene import build_scene, nice_factor
 from viz.scene_data import colours
 from viz.surroundings import decorations_of
-
-
-@pytest.fixture(scope="module")
-def robots():
-    return medrue_robots()
 
 
 def table(robots, measured=True):

@@ -60,6 +60,22 @@ def saved_scene(fit, folder):
     return gather(fit.nominal, folder / "out").scene
 
 
+def assert_saved_alike(fit, folder):
+    """Compare what the viewer shows of a fit and of its result folder, whose scene is returned."""
+    own, saved = gather(fit.nominal, fit).scene, saved_scene(fit, folder)
+    for mine, theirs in zip((own.poses, *own.readings), (saved.poses, *saved.readings), strict=True):
+        for field in dataclasses.fields(mine):
+            values, again = getattr(mine, field.name), getattr(theirs, field.name)
+            if isinstance(values, np.ndarray):
+                np.testing.assert_allclose(again, values, rtol=1e-5, atol=1e-9, err_msg=field.name)
+            else:
+                assert again == values, field.name
+    sizes = [[item[state] for other in scene.others for item in other["sets"] for state in ("before", "after")]
+             for scene in (own, saved)]  # fmt: skip
+    np.testing.assert_allclose(*sizes, rtol=1e-7)
+    return saved
+
+
 LOST_MESH = """<robot name="arm">
  <link name="root"><visual><geometry><mesh filename="lost.stl"/></geometry></visual></link><link name="tip"/>
  <joint name="a" type="revolute"><parent link="root"/><child link="tip"/><origin xyz="1 0 0"/><axis xyz="0 1 0"/>

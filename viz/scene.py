@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,10 +11,10 @@ import scipy
 
 from calib import Fit, Robot
 from calib.core.base.arrays import FloatArray, IntArray, evenly_spread
-from calib.core.base.units import DISPLAY_UNIT, in_unit
+from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, in_unit
 from calib.core.base.words import count_noun
 from calib.core.fitting.error_sets import STATES
-from calib.core.results.sections.noise import instrument_blocks
+from calib.core.instruments.kind import Part
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.drive import drive_data
 from viz.geometry import read_shapes
@@ -142,17 +142,15 @@ class ViewerScene:
 
 def scene_of_fit(fit: Fit, judgement: Judgement | None = None) -> ViewerScene:
     """Return the scene of a fit, with a given verdict or its own."""
-    verdict, notes = judgement or judgement_of_fit(fit), fit.reported_uncertainty.notes
-    comments, others = fit_remarks(fit), other_errors(fit.nominal, instrument_blocks(fit), fit.errors)
     return build_scene(
         fit.placed,
         fit.robot,
         from_fit(fit),
         reading_errors_of_fit(fit),
-        verdict=verdict,
-        uncertainty_notes=notes,
-        comments=comments,
-        others=others,
+        verdict=judgement or judgement_of_fit(fit),
+        uncertainty_notes=fit.reported_uncertainty.notes,
+        comments=fit_remarks(fit),
+        others=other_errors(fit),
     )
 
 
@@ -232,37 +230,38 @@ def build_scene(
     )
 
 
-def other_errors(
-    robot: Robot, blocks: Iterable[Mapping[str, Any]], together: Mapping[str, Any]
-) -> tuple[dict[str, Any], ...]:
-    """Return the errors of a robot's instruments other than errors of positions, from entries of `result.json`.
+def other_errors(fit: Fit) -> tuple[dict[str, Any], ...]:
+    """Return the errors of a fit's instruments other than errors of positions.
 
-    `blocks` is the entry `instruments`, and `together` the entry `errors`, of the main part of all instruments; it
-    comes first if several instruments have that part and it is no position. Each has the RMS and the largest error of
-    each set, before and after calibration, in its own unit.
+    Each has the RMS and the largest error of each set, before and after calibration, in its own unit. If several
+    instruments have the main part, and it is no position, the errors of all of them come first.
     """
-    read = [
-        (block["name"], part, known.is_position)
-        for block in blocks
-        for part, known in zip(block["parts"], robot.instrument(block["name"]).parts, strict=True)
-        if part["errors"]
-    ]
-    others = [(name, part) for name, part, is_position in read if not is_position]
-    errors = [_errors_of([name], part, part["errors"]) for name, part in others]
-    if errors and len(others) == len(read):
-        several = [name for name, part in others if part["name"] == errors[0]["part"]]
+    tables = {group: errors.tables() for group, errors in fit.error_sets.items()}
+    read = []
+    for instrument in fit.nominal.instruments:
+        own = {group: table[instrument.name] for group, table in tables.items() if instrument.name in table}
+        if own:
+            read += [
+                (instrument.name, part, {group: table[part.name] for group, table in own.items()})
+                for part in instrument.parts
+            ]
+    others = [(name, part, errors) for name, part, errors in read if not part.is_position]
+    result = [_errors_of([name], part, errors) for name, part, errors in others]
+    if others and len(others) == len(read):
+        main = others[0][1]
+        several = [name for name, part, _ in others if part.name == main.name]
         if len(several) > 1:
-            return (_errors_of(several, others[0][1], together), *errors)
-    return tuple(errors)
+            return (_errors_of(several, main, fit.errors), *result)
+    return tuple(result)
 
 
-def _errors_of(instruments: list[str], part: Mapping[str, Any], errors: Mapping[str, Any]) -> dict[str, Any]:
+def _errors_of(instruments: list[str], part: Part, errors: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     return {
         "instruments": instruments,
         "of": instruments[0] if len(instruments) == 1 else count_noun(len(instruments), "instrument"),
         "several": len(instruments) > 1,
-        "part": part["name"],
-        "unit": part["unit"],
+        "part": part.name,
+        "unit": ERROR_UNIT[part.dimension],
         "sets": [
             {"group": name, **{state: [float(off[state][size]) for size in ("rms", "max")] for state in STATES}}
             for name, off in errors.items()

@@ -61,7 +61,6 @@ class DraggedView:
         """Take note of the progress after some poses, of which this page shows none but the last."""
 
     def _draw(self, shown: ShownScene) -> None:
-        """Fill the page with a scene, in place of what it shows."""
         self._shown, scene, space, gui = shown, shown.scene, self.server.scene, self.server.gui
         space.reset()
         gui.reset()

@@ -54,7 +54,6 @@ def draw_residuals(axes: Any, table: PoseTable, joint: ViewerJoint, number: int)
 
 
 def _draw_marks(axes: Any, name: str, x: FloatArray, y: FloatArray, **look: float) -> None:
-    """Draw a component of errors with the colour and mark of its axis."""
     colour, marker = AXES[name]
     axes.plot(x, y, marker, color=colour, linestyle="none", markeredgewidth=0, label=name, **look)
 

@@ -108,7 +108,6 @@ def _with_map(scene: ViewerScene, calibrated: PredictingRobot, nominal: Robot, c
 def _from_earlier(
     robot: Robot, result: EarlierResult, data: Measurements | None, mapped: int, judgement: Judgement
 ) -> ShownScene:
-    """The scene of a result folder without readings."""
     uncertainty = result.reported_uncertainty
     calibrated = PredictingRobot(result.robot, uncertainty.predict)
     about: dict[str, Any] = {"verdict": judgement, "uncertainty_notes": uncertainty.notes}
@@ -132,7 +131,6 @@ def _place_robot(robot: Robot, data: Measurements) -> Robot:
 
 
 def _stated_sigmas(robot: Robot, data: Measurements) -> Sigmas:
-    """Return the noise of measured points as stated in the description or the measurements."""
     stated = {
         group.name: group.typical for group in Whitening(robot, data).groups if group.stated and group.part.is_position
     }

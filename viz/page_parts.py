@@ -61,7 +61,6 @@ def _bokeh() -> Path:
 
 @functools.cache
 def _library(name: str) -> tuple[str, str]:
-    """A script of Bokeh, compressed, and its digest."""
     code = (_bokeh() / "server" / "static" / "js" / f"{name}.min.js").read_text(encoding="utf-8")
     return pack(code), digest_of_script(code)
 

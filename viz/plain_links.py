@@ -86,7 +86,6 @@ class PlainLinks:
 
     @cached_property
     def _home(self) -> dict[str, float]:
-        """Value of each joint at home [m or rad]."""
         mechanism = self.robot.mechanism
         configurations = self.robot.assemble(self.robot.home[None, :])
         values = mechanism.all_joints(configurations.actuated, configurations.passive)[0]
@@ -222,7 +221,6 @@ class PlainLinks:
 def _capsule(
     name: str, link: str, start: FloatArray, end: FloatArray, radius: float, colour: Colour = GREY
 ) -> list[Shape]:
-    """A rod with round ends."""
     balls = [
         Shape(f"{name}-end{k}", link, "sphere", (radius,), translation(at), colour) for k, at in enumerate((start, end))
     ]

@@ -320,7 +320,6 @@ def _map(scene: ViewerScene, known: WorkspaceMap) -> dict[str, Any]:
 
 
 def _span(values: FloatArray) -> list[float]:
-    """Smallest and largest of the finite values."""
     known = values[np.isfinite(values)]
     return [float(known.min()), max(float(known.max()), _EXACT)] if len(known) else [0.0, _EXACT]
 

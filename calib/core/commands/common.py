@@ -203,7 +203,6 @@ class _ToStandardError(logging.Handler):
 
 
 def _tell_warnings(quiet: bool) -> None:
-    """Print warnings of the library to standard error, unless `quiet`."""
     log = logging.getLogger("calib")
     log.handlers = [logging.NullHandler() if quiet else _ToStandardError(logging.WARNING)]
     log.propagate = False

@@ -180,13 +180,11 @@ def command(
 
 
 def _result_lines(folder: Path) -> str:
-    """Place of the result, and the names of its most important files."""
     names = ("report.html", "viewer.html", "calibrated.urdf", "result.json")
     return f"Written to {folder}: {', '.join(name for name in names if (folder / name).exists())} and others"
 
 
 def _folds(text: str) -> int | Literal["setups"]:
-    """The number of folds, or `setups`, from a typed text."""
     if text == "setups":
         return "setups"
     try:
@@ -196,7 +194,6 @@ def _folds(text: str) -> int | Literal["setups"]:
 
 
 def _names(text: str | None) -> tuple[str, ...]:
-    """The names in a typed list."""
     return () if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
 
 

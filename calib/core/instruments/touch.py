@@ -287,7 +287,6 @@ class Touch(Relation):
 def _tolerances(
     name: str, points: Mapping[str, tuple[float, float, float]], tolerance: float | None
 ) -> tuple[Parameter, ...]:
-    """The errors of the points of an artefact, point by point."""
     if tolerance is None:
         return ()
     return tuple(

@@ -10,6 +10,7 @@ import tempfile
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -110,12 +111,13 @@ class Coverage:
     chi_square: float  # mean of chi-square over its degrees of freedom
     refused: float  # part of them that a test of chi-square at 5 % refuses
 
-    def __str__(self):
+    @property
+    def percent(self):
         percent = 100 * self.parameters
-        return (
-            f"{len(percent)} | {np.min(percent):.1f} to {np.max(percent):.1f} | {np.mean(percent):.1f} |"
-            f" {self.chi_square:.3f} | {100 * self.refused:.1f} |"
-        )
+        return f"{np.min(percent):.1f} to {np.max(percent):.1f} | {np.mean(percent):.1f} |"
+
+    def __str__(self):
+        return f"{len(self.parameters)} | {self.percent} {self.chi_square:.3f} | {100 * self.refused:.1f} |"
 
 
 def studied(robot, truth, q, kind, values, n):
@@ -162,25 +164,18 @@ def photographed(truth, q, T):
     return q, "pixel", {"tracker": image(np.einsum("nij,nj->ni", inside[:, :3, :3], point) + inside[:, :3, 3])}
 
 
-@dataclass(frozen=True)
-class Chain:
-    """The written-out arm as `kind_checks.brought` wants it."""
-
-    true: dict
-
-    def positions(self, q):
-        T = six_axis_chain(np.asarray(q), self.true)
-        return (T[:, :3, :3] @ BALL + T[:, :3, 3])[:, None]
-
-
 def touched(robot, true, n):
     """Coverage of touched sockets: the arm is brought where the ball is in one, off by the noise."""
     names = np.array(list(SOCKETS))
 
+    def positions(q):
+        T = six_axis_chain(q, true)
+        return (T[:, :3, :3] @ BALL + T[:, :3, 3])[:, None]
+
     def drawn(rng):
         words = names[rng.integers(0, 3, 70)]
         points = np.array([SOCKETS[word] for word in words]) + LENGTH * rng.standard_normal((70, 3))
-        q, ok = brought(Chain(true), rng.uniform(-1.5, 1.5, (70, 6)), points)
+        q, ok = brought(SimpleNamespace(positions=positions), rng.uniform(-1.5, 1.5, (70, 6)), points)
         kept = np.flatnonzero(ok)[:40]
         return calib.as_measurements(robot, q[kept], {"tracker": words[kept].tolist()})
 
@@ -322,14 +317,8 @@ def main(n):
             print(f"| {kind} | MedRUE | {on_medrue(Path(folder), kind, n)}", flush=True)
         print(f"| joint reading | five-bar | {on_the_five_bar(Path(folder), n)}", flush=True)
         for name, counts in (("4 times each", [4] * 40), ("10 times a quarter of them", [10] * 10 + [1] * 30)):
-            told(f"position, {name}", repeated(Path(folder), n, counts))
-        told("position and pixel", seen_by_both(Path(folder), n))
-
-
-def told(name, result):
-    """Print the coverage where readings of a pose share an error."""
-    percent = 100 * result.parameters
-    print(f"| {name} | {np.min(percent):.1f} to {np.max(percent):.1f} | {np.mean(percent):.1f} |", flush=True)
+            print(f"| position, {name} | {repeated(Path(folder), n, counts).percent}", flush=True)
+        print(f"| position and pixel | {seen_by_both(Path(folder), n).percent}", flush=True)
 
 
 if __name__ == "__main__":

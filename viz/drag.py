@@ -21,7 +21,7 @@ from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.version import DISTRIBUTION
 from viz.bodies import posed_robot
 from viz.inputs import ShownScene, gather
-from viz.scene_data import colours, ranges, rows_of
+from viz.scene_data import colours, ranges
 
 ADDRESS = "127.0.0.1"
 _FIELD_OF_VIEW = np.radians(40.0)  # of the first camera, upright
@@ -92,7 +92,7 @@ class DraggedView:
         self._target.on_update(lambda _: self.reach(np.array(self._target.position)))
         if scene.n_rows:
             poses = gui.add_slider("row", 0, scene.n_rows - 1, 1, 0)
-            every = np.concatenate([rows.joints for rows in rows_of(scene)])
+            every = np.concatenate([rows.joints for rows in scene.rows])
             poses.on_update(lambda _: self.move(every[int(poses.value)]))
         self.note = gui.add_markdown("")
 
@@ -171,9 +171,8 @@ class DraggedView:
         """Draw the readings in the colours of their errors, and these errors enlarged."""
         scene = self._shown.scene
         state = (scene.states or ("before",))[-1]
-        factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
         size = scene.view.size
-        for rows, factor in zip(rows_of(scene), factors, strict=True):
+        for rows, factor in zip(scene.rows, scene.factors, strict=True):
             known = np.isfinite(rows.anchors).all(axis=1) & np.isfinite(rows.sizes(state))
             if not np.any(known):
                 continue

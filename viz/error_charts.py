@@ -17,7 +17,7 @@ from viz.poses import EXCLUDED, VALIDATION
 from viz.reading_errors import ReadingErrors
 from viz.remarks import tolerance
 from viz.scene import ViewerJoint, ViewerScene
-from viz.scene_data import colours, ranges, rows_of
+from viz.scene_data import colours, ranges
 
 _MEANS = 12  # places along a joint at which residuals are averaged
 _CELLS = 9  # cells along the longer side of a plane
@@ -31,7 +31,7 @@ _PAIRED = 6  # largest number of joints whose ranges are drawn in all pairs; for
 def page_rows(scene: ViewerScene) -> PageRows:
     """Return hover text, pose and mark of each row of the page."""
     texts, keys, marks = [], [], []
-    for rows in rows_of(scene):
+    for rows in scene.rows:
         sizes = {state: rows.sizes(state) for state in STATES}
         several = len(set(rows.targets)) > 1 or not rows.part.is_position
         for k, (label, group, bad, target) in enumerate(
@@ -63,14 +63,13 @@ def error_charts(fit: Fit, scene: ViewerScene) -> tuple[Chart, ...]:
 
 def _numbered_rows(scene: ViewerScene) -> list[tuple[ReadingErrors, IntArray]]:
     """The rows of the page, part by part, and their numbers in its table."""
-    parts = rows_of(scene)
-    ends = np.cumsum([len(rows) for rows in parts])
-    return [(rows, np.arange(end - len(rows), end)) for rows, end in zip(parts, ends.tolist(), strict=True)]
+    ends = np.cumsum([len(rows) for rows in scene.rows]).tolist()
+    return [(rows, np.arange(end - len(rows), end)) for rows, end in zip(scene.rows, ends, strict=True)]
 
 
 def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     """Return the poses in pairs of joints, within the limits of the joints; None without pairs."""
-    joints, every = scene.joints, np.concatenate([rows.joints for rows in rows_of(scene)])
+    joints, every = scene.joints, np.concatenate([rows.joints for rows in scene.rows])
     n = len(joints)
     pairs = list(combinations(range(n), 2)) if n <= _PAIRED else list(pairwise(range(n)))
     if not pairs or not len(every):
@@ -105,7 +104,7 @@ def conditions(fit: Fit, scene: ViewerScene) -> Chart | None:
     """Return temperature and time of the poses in the order of measurement; None if the file has neither."""
     data = fit.identification.data
     row_of: dict[str, int] = {}
-    for row, label in enumerate(label for part in rows_of(scene) for label in part.labels):
+    for row, label in enumerate(label for part in scene.rows for label in part.labels):
         row_of.setdefault(label, row)
     panels = []
     chosen = [k for k, label in enumerate(data.names) if label in row_of]

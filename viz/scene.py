@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, in_unit
 from calib.core.base.words import count_noun
 from calib.core.fitting.error_sets import STATES
 from calib.core.instruments.kind import Part
+from calib.core.instruments.position import POSITION
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.drive import drive_data
 from viz.geometry import read_shapes
@@ -138,6 +140,26 @@ class ViewerScene:
     def n_rows(self) -> int:
         """Number of rows of a page."""
         return (len(self.poses) if self.shows_poses else 0) + sum(map(len, self.readings))
+
+    @cached_property
+    def rows(self) -> tuple[ReadingErrors, ...]:
+        """Rows of the page, part by part: points first, at their measured, or else predicted, places."""
+        if not self.shows_poses:
+            return self.readings
+        table = self.poses.subset(self.shown)
+        predicted = np.where(np.isfinite(table.after), table.after, table.before)
+        places = np.where(np.isfinite(table.measured), table.measured, predicted)
+        before, after = table.error("before"), table.error("after")
+        points = ReadingErrors(
+            POSITION, False, table.joints, places, before, after, before, after, np.zeros((len(table), 0)), table.group,
+            table.outlier, table.labels, table.targets, table.targets,
+        )  # fmt: skip
+        return (points, *self.readings)
+
+    @property
+    def factors(self) -> tuple[dict[str, float], ...]:
+        """First exaggeration of the errors of each state, of each part of `rows`."""
+        return self.vector_factors if self.shows_poses else self.vector_factors[1:]
 
 
 def scene_of_fit(fit: Fit, judgement: Judgement | None = None) -> ViewerScene:

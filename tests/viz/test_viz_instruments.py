@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.core.data.in_memory import as_poses, measurements
-from calib.core.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Part, Place, Readings
+from calib.core.instruments.kind import InstrumentSection, Part, Place, Readings
 from calib.core.instruments.kinds import KINDS
 from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.instruments.relation import Relation
 from calib.core.rows.observed import predict_readings
 from tests.six_axis_arm import FREE, joints, write_six_axis
 from tests.viz.viz_examples import assert_saved_alike, undrawn, words_of
@@ -255,13 +256,18 @@ def test_what_measures_and_what_it_looks_at_is_drawn_where_the_robot_has_it(tmp_
         np.testing.assert_allclose(place("wire/wire_end", pose), [1, 0, 0], atol=1e-12)
         np.testing.assert_allclose(place("ball/ball", pose), robot.positions(q)[pose, 0], atol=1e-9)
         np.testing.assert_allclose(place("second/p", pose), robot.positions(q)[pose, 1], atol=1e-9)
-    ropes = [shape for shape in scene.decorations if shape.name.startswith("wire/")]
-    for rope, end in zip(ropes, robot.positions(q)[:, 1], strict=True):
-        np.testing.assert_allclose(rope.T_body_shape[:3, 3], np.mean([end, [1, 0, 0]], axis=0), atol=1e-9)
-        assert rope.size[1] == pytest.approx(np.linalg.norm(end - [1, 0, 0]))
+    assert_wires_lead_from(scene, robot, [1, 0, 0])
     edge = drawn["eye/edge0"].T_body_shape
     along = edge[:3, 2] / edge[2, 2]  # in the camera's frame, to the first corner of the image
     np.testing.assert_allclose(800 * along[:2] + [500, 400], [0, 0], atol=1e-9)
+
+
+def assert_wires_lead_from(scene, robot, start):
+    """A wire leads from there to the second target at every pose."""
+    ropes = [shape for shape in scene.decorations if shape.name.startswith("wire/")]
+    for rope, end in zip(ropes, robot.positions(scene.poses.joints[scene.shown])[:, 1], strict=True):
+        np.testing.assert_allclose(rope.T_body_shape[:3, 3], np.mean([end, start], axis=0), atol=1e-9)
+        assert rope.size[1] == pytest.approx(np.linalg.norm(end - start))
 
 
 class RopeSection(InstrumentSection):
@@ -269,33 +275,19 @@ class RopeSection(InstrumentSection):
 
 
 @dataclasses.dataclass(frozen=True)
-class Rope(FrameInstrument):
+class Rope(Relation):
     """A distance of another package: the square of how far the target is from a hub."""
 
     section = RopeSection
     parts = (Part("square", ("square",), "length", is_distance=True),)
-    hub: Place
 
     @classmethod
     def from_section(cls, name, section):
-        return cls(name, section.target, Place(f"{name}_hub", "l0", (1.0, 0.5, 0.0)), noise=Noise((PartNoise(1e-4),)))
-
-    def places(self):
-        return (self.hub,)
-
-    def pairs(self, base):
-        return ((self.hub.name, self.target),)
-
-    def columns(self):
-        return (Column(f"{self.name}_square", "length"),)
+        hub = Place(f"{name}_hub", "l0", (1.0, 0.5, 0.0))
+        return cls(name, section.target, (hub,), noise=Noise((PartNoise(1e-4),)))
 
     def predict(self, view, unknowns, details):
         return np.sum(view.translation**2, axis=1, keepdims=True)
-
-    def compare(self, view, unknowns, readings):
-        by_twist = np.pad(2 * view.translation, ((0, 0), (0, 3)))[:, None]
-        off = self.predict(view, unknowns, readings.details) - readings.values
-        return Comparison(off, by_twist, np.zeros((len(readings), 1, 0)))
 
 
 def test_a_distance_of_another_package_has_a_wire_too(tmp_path, monkeypatch):
@@ -303,10 +295,7 @@ def test_a_distance_of_another_package_has_a_wire_too(tmp_path, monkeypatch):
     robot = arm(tmp_path, "instruments: {wire: {kind: rope, target: second}}\n")
     scene = build_scene(robot, None, from_poses(robot, joints(3)))
     assert {"wire/wire_hub", "second/ball"} <= {shape.name for shape in scene.shapes}
-    ropes = [shape for shape in scene.decorations if shape.name.startswith("wire/")]
-    for rope, end in zip(ropes, robot.positions(scene.poses.joints[scene.shown])[:, 1], strict=True):
-        np.testing.assert_allclose(rope.T_body_shape[:3, 3], np.mean([end, [1, 0.5, 0]], axis=0), atol=1e-9)
-        assert rope.size[1] == pytest.approx(np.linalg.norm(end - [1, 0.5, 0]))
+    assert_wires_lead_from(scene, robot, [1, 0.5, 0])
 
 
 def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_path):

@@ -142,16 +142,20 @@ def pose_table(q, measured, before, after, **changes):
     return PoseTable(q, measured, before, after, **(columns | changes))
 
 
+def medrue_table(q, **changes):
+    """MedRUE's nominal and calibrated robots and a table of its measured poses q."""
+    robots = medrue_robots()
+    before, after = (robot.positions(q)[:, 0] for robot in robots)
+    measured = after + np.random.default_rng(3).normal(0, 4e-5, after.shape)
+    return *robots, pose_table(q, measured, before, after, **changes)
+
+
 def many_poses(n):
     """MedRUE's nominal and calibrated robots and a pose table of `n` poses around the target workspace."""
-    nominal, calibrated = medrue_robots()
     generator = np.random.default_rng(0)
     q = np.resize(target_workspace().q, (n, 6)) + generator.normal(0, 2e-3, (n, 6))
-    before, after = (robot.positions(q)[:, 0] for robot in (nominal, calibrated))
     groups = tuple(generator.choice(["identification", "validation"], n).tolist())
-    measured = after + generator.normal(0, 4e-5, (n, 3))
-    table = pose_table(q, measured, before, after, group=groups, outlier=generator.random(n) < 0.002)
-    return nominal, calibrated, table
+    return medrue_table(q, group=groups, outlier=generator.random(n) < 0.002)
 
 
 def spoiled(data, visit=10, by=1e-3):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import calib
+from tests.small_robots import ARM_YAML, write_arm
 from tests.viz.viz_examples import assert_saved_alike, measurements, pose_table, spoiled_fit
 from viz.pose_sources import from_fit, measured_set
 
@@ -65,6 +66,15 @@ def test_measurements_without_a_calibrated_robot_have_no_error_after(medrue):
     assert np.isnan(table.after).all()
     np.testing.assert_allclose(table.before, medrue.positions(data.joints)[:, 0])
     assert set(table.group) == {"measured"}
+
+
+def test_measurements_are_compared_with_what_is_predicted_under_their_conditions(tmp_path):
+    robot = calib.load(write_arm(tmp_path, f"{ARM_YAML}  - {{joint: turn, term: temperature, sigma: 1 mrad}}\n"))
+    warm, names = robot.with_parameters({"turn.temperature": 1e-3}), tuple("abcde")
+    q = np.random.default_rng(0).uniform([-1, 0, -1], [1, 0.5, 1], (5, 3))
+    poses = calib.Poses(q, names, names, "memory", (), context={"temperature": np.full(5, 30.0)})
+    data = calib.simulate(warm, poses, 0.0, np.random.default_rng(0))
+    np.testing.assert_allclose(measured_set(data, warm, None, {}).table().error("before"), 0, atol=1e-12)
 
 
 def test_a_mean_of_readings_is_surer_than_one_reading():

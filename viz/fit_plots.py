@@ -15,6 +15,7 @@ from calib.core.base.errors import InputError, nearest
 from calib.core.base.units import millimetres
 from viz.pose_sources import from_fit
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable
+from viz.result_charts import relative_changes
 from viz.scene import ViewerJoint, joints_of
 from viz.svg import AXES, BLUE, GREY, STATES, plain_ticks
 
@@ -152,12 +153,8 @@ class FitPlots:
 
         Poses of base and targets are left out, since they are not the robot's.
         """
-        fit = self._fit
-        shown = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
-        estimates, sigma = [fit.parameters[p.name] for p in shown], np.array([p.sigma for p in shown])
-        drawn = _axes(axes, height=1.0 + 0.15 * len(shown))
-        change = np.array([estimate.value - estimate.nominal for estimate in estimates]) / sigma
-        half = np.array([estimate.high95 - estimate.value for estimate in estimates]) / sigma
+        estimates, change, half = relative_changes(self._fit)
+        drawn = _axes(axes, height=1.0 + 0.15 * len(estimates))
         place = np.arange(len(estimates))
         drawn.axvline(0.0, color=GREY, linewidth=0.8)
         drawn.errorbar(change, place, xerr=half, fmt="o", color=BLUE, markersize=3, linewidth=1)

@@ -59,7 +59,8 @@ class ShownSet:
 
     def table(self) -> PoseTable:
         """Return one row for each reading of a point, pose by pose; without points, one for each visit and target."""
-        parts = [self._rows_of(*part) for part in self.errors.parts() if part[1].is_position]
+        points = [(instrument, rows) for instrument, part, rows in self.errors.parts() if part.is_position]
+        parts = [self._rows_of(instrument, rows) for instrument, rows in points]
         if not any(len(table) for table, _ in parts):
             return self._predicted_points()
         order = np.argsort(
@@ -68,7 +69,7 @@ class ShownSet:
         first, *others = (table for table, _ in parts)
         return first.followed_by(others).subset(order)
 
-    def _rows_of(self, instrument: Instrument, _: object, columns: IntArray) -> tuple[PoseTable, IntArray]:
+    def _rows_of(self, instrument: Instrument, columns: IntArray) -> tuple[PoseTable, IntArray]:
         """One row for each reading of an instrument, and the visit of each."""
         data, name = self.errors.data, instrument.name
         points = instrument.points(data.readings[name].values)

@@ -28,7 +28,7 @@ changed.
 The smallest p-value times the number of distinct candidates (Holm's first step; parallel columns count once) is the
 chance of such a z by accident. A robot has drifted if that is below the level and the rest agrees; candidates whose z^2
 is within 3.84 of the largest explain the readings about as well, and are named with it. If one change does not
-explain them, the robot needs a new calibration. The level of either test is half of `FALSE_ALARM`.
+explain them, the robot needs a new calibration. The level of either test is `LEVEL`.
 
 Power. With n poses a change d gives z the noncentrality |d| |B'|, so that the smallest change that is seen with a
 chance of 90 %, or the number of poses that a given change takes, are known before anything is measured.
@@ -68,7 +68,9 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.data.in_memory import MeasurementsLike, PosesLike, as_measurements, as_poses
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
+from calib.core.fitting.outliers import numbers_by_instrument
 from calib.core.judging.acceptance_system import (
+    LEVEL,
     POWER,
     Change,
     System,
@@ -79,12 +81,9 @@ from calib.core.judging.acceptance_system import (
 from calib.core.judging.promise import HasPromise, Promise
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.settling import poses_that_settle
-from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
-from calib.core.rows.simulate import simulate
 
 TELLING = 3.0
 """Readings are too few for a verdict if they would not show errors this many times as large as expected."""
-_LEVEL = FALSE_ALARM / 2  # level of each of two tests
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
 
@@ -172,36 +171,33 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
     """
     promise = Promise.from_calibration(calibrated)
     data = as_measurements(promise.robot, data)
-    system = System.from_promise(promise, data, same_setup)
-    system, left_out = without_outliers(system)
+    system, left_out = without_outliers(System.from_promise(promise, data, same_setup))
     outliers = tuple(data.labels[system.rows.layout.visit[k]] for k in left_out)
     if left_out:  # base and targets are placed without them too
-        system = System.from_promise(promise, data.with_readings(system.numbers_without(left_out)), same_setup)
-    tests = _Tests.from_system(system)
-    verdict, unlike, larger = "agrees", False, tests.has_larger_errors
-    if tests.fail:
-        verdict = tests.verdict_of_unexplained
-        if tests.p_drift >= _LEVEL and _is_noise(promise, system):
+        kept = np.setdiff1d(np.arange(system.rows.layout.n_readings), left_out)
+        data = data.with_readings(numbers_by_instrument(kept, system.rows.layout))
+        system = System.from_promise(promise, data, same_setup)
+    verdict, unlike, larger = _verdict(system), False, system.has_larger_errors
+    if verdict != "agrees":
+        if system.p_drift >= LEVEL and _is_noise(system):
             verdict = "noisier"
         elif system.has_unlike_poses:
-            unlike, system = True, system.with_common_error(system.errors.data, same_setup)
-            tests = _Tests.from_system(system)
-            verdict = tests.verdict_of_unexplained if tests.fail else "unlike poses"
-    by_chance = [1.0 - POWER, 0.025, 0.975, 1.0 - _LEVEL]
-    missed, low, high, limit = np.sqrt(scipy.special.fdtri(tests.independent, promise.freedom, by_chance)).tolist()
+            unlike, system = True, system.with_common_error()
+            verdict = "unlike poses" if system.agrees else _verdict(system)
+    by_chance = [1.0 - POWER, 0.025, 0.975, 1.0 - LEVEL]
+    missed, low, high, limit = np.sqrt(scipy.special.fdtri(system.independent, promise.freedom, by_chance)).tolist()
     if verdict == "agrees" and limit > TELLING * missed:
         verdict = "too few readings"
-    changes, settled = tests.changes, verdict in ("agrees", "noisier", "too few readings")
-    again = () if settled or not changes else poses_that_settle(promise, changes[0])
+    changes, settled = system.changes, verdict in ("agrees", "noisier", "too few readings")
     return Acceptance(
         verdict,
         float(np.sqrt(system.square / system.freedom)),
         low,
         high,
         limit / missed,
-        tests.p_value,
-        tests.p_drift,
-        tests.p_rest,
+        system.p_value,
+        system.p_drift,
+        system.p_rest,
         system.freedom,
         system.placement_rank,
         changes,
@@ -210,66 +206,18 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         system.errors,
         system.expected.rms,
         system.expected.calibration_rms,
-        system.expected.limit(UNLIKELY, promise.freedom),
+        system.expected.limit(promise.freedom),
         float(scipy.special.stdtrit(promise.freedom, 0.975)),
         unlike,
         larger,
-        again,
+        () if settled or not changes else poses_that_settle(promise, changes[0]),
     )
 
 
-@dataclass(frozen=True)
-class _Tests:
-    """Chances of the new readings, if the robot is as calibrated.
-
-    Attributes:
-        p_value, p_drift, p_rest, changes: Attributes of `Acceptance`.
-        independent: Degrees of freedom of the ratio, reduced where readings share errors.
-        far: Whether distances exceed the limit that chance exceeds in one of a thousand cases.
-    """
-
-    p_value: float
-    p_drift: float
-    p_rest: float
-    changes: tuple[Change, ...]
-    independent: float
-    far: bool
-
-    @staticmethod
-    def from_system(system: System) -> _Tests:
-        """Return the tests of a system."""
-        promise, changes = system.promise, system.changes()
-        independent = system.freedom / promise.shared**2
-        p_value = float(scipy.special.fdtrc(independent, promise.freedom, system.square / system.freedom))
-        p_drift = p_rest = 1.0
-        if changes:
-            p_drift = changes[0].p_value
-            rest = max(system.square - (promise.shared * changes[0].z) ** 2, 0.0) / max(system.freedom - 1, 1)
-            p_rest = float(scipy.special.fdtrc(max(independent - 1, 1), promise.freedom, rest))
-        far = _single_rms(system) > system.expected.limit(UNLIKELY, promise.freedom)  # false for NaN: without positions
-        return _Tests(p_value, p_drift, p_rest, changes, independent, far)
-
-    @property
-    def fail(self) -> bool:
-        """Whether chance does not explain the readings."""
-        return self.has_larger_errors or self.p_drift < _LEVEL
-
-    @property
-    def has_larger_errors(self) -> bool:
-        """Whether errors are larger than chance explains; if not, they may still have the pattern of a change."""
-        return self.p_value < _LEVEL or self.far
-
-    @property
-    def verdict_of_unexplained(self) -> str:
-        """The verdict of readings that chance does not explain."""
-        return "drifted" if self.p_drift < _LEVEL <= self.p_rest else "calibrate again"
-
-
-def _single_rms(system: System) -> float:
-    lengths = system.errors.errors("after", single=True)
-    if not len(lengths):
-        return float("nan")
-    return float(np.sqrt(np.mean(np.nansum(lengths**2, axis=1))))
+def _verdict(system: System) -> str:
+    if system.agrees:
+        return "agrees"
+    return "drifted" if system.p_drift < LEVEL <= system.p_rest else "calibrate again"
 
 
 @one_blas_thread
@@ -279,15 +227,14 @@ def visible_changes(
     """Return the smallest change of every candidate that readings at these poses show, sorted by change over scale.
 
     Args:
-        calibrated: The promise of the calibration, or the fit itself.
+        calibrated: As in `verify`.
         poses: Poses to be measured, or their joint values (n, n_actuated) [m or rad].
         same_setup: As in `verify`.
     """
     promise = Promise.from_calibration(calibrated)
-    data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
     scale = {c.name: c.scale for c in candidates(promise.robot)}
-    system = System.from_promise(promise, data, same_setup)
-    changes = (system.with_common_error(data, same_setup) if system.has_unlike_poses else system).changes()
+    system = System.planned(promise, poses, same_setup)
+    changes = (system.with_common_error() if system.has_unlike_poses else system).changes
     nothing = [replace(change, value=np.nan, z=np.nan, p_value=np.nan) for change in changes]
     return tuple(sorted(nothing, key=lambda change: six_digits(change.visible / scale[change.name])))
 
@@ -299,7 +246,7 @@ def poses_needed(
     """Return the number of poses, from the first, that show a change with the chance `POWER`; None if all are too few.
 
     Args:
-        calibrated: The promise of the calibration, or the fit itself.
+        calibrated: As in `verify`.
         poses: Poses to be measured, or their joint values (n, n_actuated) [m or rad].
         name: A parameter, or `zero of JOINT`.
         size: The change [m or rad].
@@ -327,18 +274,15 @@ def poses_needed(
     return needed if needed <= len(planned) else None
 
 
-def _is_noise(promise: Promise, system: System) -> bool:
+def _is_noise(system: System) -> bool:
     """Whether repeats scatter more than expected, and the readings agree with as much noise."""
     scatter, freedom = repeatability(system.errors)
-    instruments = promise.robot.instruments
-    positions = {
-        (instrument.group, part.name) for instrument in instruments for part in instrument.parts if part.is_position
-    }
+    promise = system.promise
+    positions = {(i.group, part.name) for i in promise.robot.instruments for part in i.parts if part.is_position}
     sigma = [size for key, size in promise.sigma.items() if key in positions]
     if freedom == 0 or len(sigma) != 1 or sigma[0] <= 0:
         return False
     more = (scatter / sigma[0]) ** 2
-    if scipy.special.fdtrc(freedom, promise.freedom, more) >= _LEVEL:
+    if scipy.special.fdtrc(freedom, promise.freedom, more) >= LEVEL:
         return False
-    independent = system.freedom / promise.shared**2
-    return bool(scipy.special.fdtrc(independent, freedom, system.square / system.freedom / more) >= _LEVEL)
+    return bool(scipy.special.fdtrc(system.independent, freedom, system.square / system.freedom / more) >= LEVEL)

@@ -44,10 +44,7 @@ class LinearFit:
 
     def with_parameters(self, effects: FloatArray) -> LinearFit:
         """Return the fit with effects Z (n_rows, k) as further parameters, as far as they are visible."""
-        size = np.linalg.norm(effects, axis=0)
-        columns = effects[:, size > 0] / size[size > 0]
-        left = self.after_fit(columns)
-        values, vectors = linalg.eigh(columns.T @ left)
+        columns, left, values, vectors = self._unit_effects(effects[:, np.any(effects != 0.0, axis=0)])
         seen = values > ABSORBED
         root = vectors[:, seen] / np.sqrt(values[seen])
         absorbed, fewer = left @ root, int(np.sum(seen))
@@ -66,19 +63,22 @@ class LinearFit:
         Deviations are infinite for zero columns, and where all effects together leave no degree of freedom. An absorbed
         effect is uncertain and gets the size 0, since the residuals along it are only rounding of the solver.
         """
-        size = np.linalg.norm(effects, axis=0)
-        made = np.flatnonzero(size > 0)
-        columns = effects[:, made] / size[made]
-        left = self.after_fit(columns)
-        values, vectors = linalg.eigh(columns.T @ left)
+        made = np.flatnonzero(np.any(effects != 0.0, axis=0))
+        columns, left, values, vectors = self._unit_effects(effects[:, made])
         inverse, seen = vectors / (values + ABSORBED) @ vectors.T, vectors[:, values > ABSORBED]
         found = -inverse @ (seen @ (seen.T @ (columns.T @ self.rows.residuals)))
-        freedom = self.freedom - len(made)
+        freedom, size = self.freedom - len(made), np.linalg.norm(effects[:, made], axis=0)
         rest = np.sum((self.rows.residuals + left @ found) ** 2) + self.confirmed
         scatter = np.sqrt(rest / freedom) if freedom > 0 else np.inf
-        sizes, deviations = np.zeros(len(size)), np.full(len(size), np.inf)
-        sizes[made], deviations[made] = found / size[made], scatter * np.sqrt(np.diag(inverse)) / size[made]
+        sizes, deviations = np.zeros(effects.shape[1]), np.full(effects.shape[1], np.inf)
+        sizes[made], deviations[made] = found / size, scatter * np.sqrt(np.diag(inverse)) / size
         return sizes, deviations
+
+    def _unit_effects(self, effects: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Effects of length 1, what the fit leaves of them, and the eigenvalues and eigenvectors of their product."""
+        columns = effects / np.linalg.norm(effects, axis=0)
+        left = self.after_fit(columns)
+        return columns, left, *linalg.eigh(columns.T @ left)
 
     @cached_property
     def square(self) -> float:

@@ -45,7 +45,7 @@ from calib.core.judging.linear_fit import ABSORBED, LinearFit
 from calib.core.judging.row_derivatives import EffectSetting
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, FALSE_ALARM
-from calib.core.numerics.clusters import shifts_without_block
+from calib.core.numerics.clusters import blocks_of_equal_length, shifts_without_block
 from calib.core.numerics.tall import KEPT, slices
 
 SMALLEST_EFFECT = 0.1
@@ -54,23 +54,6 @@ _NUMBERS_AT_ONCE = 1 << 24  # largest size of the array of what findings explain
 _VISITS_AT_ONCE = 512  # their factors stay in the processor's cache
 _SUMS_AT_ONCE = 1 << 22  # largest size of the array of their sums
 _ALIKE = 9.2  # times the noise squared: chance makes a sine and cosine explain more in 1 % of cases
-
-
-@dataclass(frozen=True, eq=False)
-class _Moments:
-    """Products of m effects with k columns Z each, for their tests.
-
-    Attributes:
-        effects: Some effects, with their numbers of effects.
-        squares: Z^T Z, (m, k, k).
-        left: Z^T M Z, (m, k, k).
-        score: Z^T r, (m, k).
-    """
-
-    effects: Sequence[tuple[Effects, int]]
-    squares: FloatArray
-    left: FloatArray
-    score: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,37 +132,41 @@ def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
     return list(kept.values())
 
 
-def _moments(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_Moments]:
-    """Yield the moments of effects, those with equally many columns together; see the module docstring."""
+def _moments(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Yield Z^T Z and Z^T M Z, (m, k, k), and Z^T r, (m, k), of the m effects with k columns of each of some."""
     span, bases = residuals.span, {id(effect.base): effect.base for effect in some}
     tall, n = len(span) > KEPT, len(span.root)  # then J T is not stored: it is computed from sums over rows
     known = [span[:]] if not tall else [span.jacobian] if span.more is None else [span.jacobian, span.more]
     ends = np.cumsum([base.shape[1] for base in bases.values()])[:-1]
-    squares: list[FloatArray] = [np.zeros(1)] * len(some)
-    products: list[FloatArray] = [np.zeros(1)] * len(some)
     numbers = sum(base.shape[1] for base in bases.values()) * (1 + sum(other.shape[1] for other in known))
     at_once = min(max(_SUMS_AT_ONCE // max(numbers, 1), 1), _VISITS_AT_ONCE)
-    for rows, firsts, visits in _visits_together(some[0].visit, at_once) if some else ():
-        own = [base[rows] for base in bases.values()]
-        others = np.hstack([residuals.rows.residuals[rows, None], *(other[rows] for other in known)])
-        further = dict(zip(bases, np.split(_sums_of_visits(np.hstack(own), others, firsts), ends, axis=1), strict=True))
-        between = {key: _sums_of_visits(base, base, firsts) for key, base in zip(bases, own, strict=True)}
+    squares: list[FloatArray] = [np.zeros(1)] * len(some)
+    products: list[FloatArray] = [np.zeros(1)] * len(some)
+    for rows in _rows_of_visits(some[0].visit, at_once) if some else ():
+        visits, own = some[0].visit[rows[:, 0]], [base[rows].transpose(0, 2, 1) for base in bases.values()]
+        others = np.concatenate([residuals.rows.residuals[rows][:, :, None], *(other[rows] for other in known)], axis=2)
+        further = np.split(np.matmul(np.concatenate(own, axis=1), others), ends, axis=1)
+        sums = {
+            key: (np.matmul(b, b.transpose(0, 2, 1)), more) for key, b, more in zip(bases, own, further, strict=True)
+        }
         for k, effect in enumerate(some):
-            factors, square, product = effect.factors(visits), between[id(effect.base)], further[id(effect.base)]
+            factors, (square, product) = effect.factors(visits), sums[id(effect.base)]
             squares[k] = squares[k] + _squares(square, factors)
             each = product.reshape(len(visits), -1).T @ factors.reshape(len(visits), -1)
             products[k] = products[k] + each.reshape(*product.shape[1:], *factors.shape[1:])
-    by_width: dict[int, list[tuple[Effects, FloatArray, FloatArray, FloatArray]]] = {}
-    for effect, square, product in zip(some, squares, products, strict=True):
+    for square, product in zip(squares, products, strict=True):
         moments = product.swapaxes(0, 1).reshape(-1, square.shape[1], len(square))
-        score, absorbed = moments[0].T, moments[1:]
+        absorbed = moments[1:]
         if tall:
             absorbed = np.concatenate([np.tensordot(span.root.T, absorbed[:n], 1), absorbed[n:]])
-        left = square - np.einsum("rim,rjm->mij", absorbed, absorbed)
-        by_width.setdefault(square.shape[1], []).append((effect, square, left, score))
-    for alike in by_width.values():
-        arrays = (np.concatenate([each[k] for each in alike]) for k in (1, 2, 3))
-        yield _Moments([(effect, len(score)) for effect, _, _, score in alike], *arrays)
+        yield square, square - np.einsum("rim,rjm->mij", absorbed, absorbed), moments[0].T
+
+
+def _rows_of_visits(visit: IntArray, at_once: int) -> Iterator[IntArray]:
+    """Yield rows of at most `at_once` visits with equally many rows, (n_visits, n_rows_of_each)."""
+    for every in blocks_of_equal_length(visit):
+        for part in slices(len(every), at_once):
+            yield every[part]
 
 
 def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:
@@ -188,61 +175,32 @@ def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:
     return (sums.reshape(n, -1).T @ both).reshape(b, b, f, f, m).transpose(4, 0, 2, 1, 3).reshape(m, b * f, b * f)
 
 
-def _visits_together(visit: IntArray, at_once: int) -> Iterator[tuple[IntArray | slice, IntArray | int, IntArray]]:
-    """Yield rows of some visits, those of a visit together; where each begins among them, and the visits.
-
-    Where all visits have equally many rows, this number takes the place of where they begin.
-    """
-    order: IntArray | None = None if np.all(visit[1:] >= visit[:-1]) else np.argsort(visit, kind="stable")
-    arranged = visit if order is None else visit[order]
-    firsts = np.flatnonzero(np.append(True, arranged[1:] != arranged[:-1]))
-    for k in range(0, len(firsts), at_once):
-        some = firsts[k : k + at_once]
-        last = firsts[k + at_once] if k + at_once < len(firsts) else len(visit)
-        rows, lengths = slice(int(some[0]), int(last)), np.diff(some, append=last)
-        firsts_or_length = int(lengths[0]) if np.all(lengths == lengths[0]) else some - some[0]
-        yield rows if order is None else order[rows], firsts_or_length, arranged[some]
-
-
-def _sums_of_visits(base: FloatArray, others: FloatArray, firsts: IntArray | int) -> FloatArray:
-    """Return B^T times others, summed over the rows of each visit, (n_visits, b, k).
-
-    Args:
-        base: B of rows of visits, one visit after the other, (n, b).
-        others: Columns of these rows, (n, k).
-        firsts: First row of each visit, (n_visits,), or number of rows of every visit.
-    """
-    if isinstance(firsts, int):  # without the products: a tenth of the time
-        each = base.reshape(-1, firsts, base.shape[1]).transpose(0, 2, 1)
-        return np.matmul(each, others.reshape(-1, firsts, others.shape[1]))
-    result = np.empty((len(firsts), base.shape[1], others.shape[1]))
-    for k, column in enumerate(base.T):  # all products at once take much memory
-        result[:, k] = np.add.reduceat(column[:, None] * others, firsts)
-    return result
-
-
 def _tests(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_EffectTests]:
     """Test effects, all with equally many columns at once; not absorbed ones, nor without a degree of freedom left."""
-    for moments in _moments(residuals, some):
-        size = np.sqrt(np.diagonal(moments.squares, axis1=1, axis2=2))
+    by_width: dict[int, list[tuple[Effects, FloatArray, FloatArray, FloatArray]]] = {}
+    for effect, moments in zip(some, _moments(residuals, some), strict=True):
+        by_width.setdefault(moments[0].shape[1], []).append((effect, *moments))
+    for alike in by_width.values():
+        squares, left, score = (np.concatenate([each[k] for each in alike]) for k in (1, 2, 3))
+        size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
         shown = np.all(size > 0, axis=1)
         size = np.where(shown[:, None], size, 1.0)
-        values, vectors = linalg.eigh(moments.left / (size[:, :, None] * size[:, None, :]))
+        values, vectors = linalg.eigh(left / (size[:, :, None] * size[:, None, :]))
         determined = values > ABSORBED
-        score = np.where(determined, np.einsum("mi,mij->mj", moments.score / size, vectors), 0.0)
+        score = np.where(determined, np.einsum("mi,mij->mj", score / size, vectors), 0.0)
         along = score / np.where(determined, values, 1.0)
         gains, k = np.sum(score * along, axis=1), np.sum(determined, axis=1)
         coefficients = np.einsum("mij,mj->mi", vectors, along) / size
-        rows = np.flatnonzero(shown & (k > 0) & (residuals.freedom - k >= 1))
-        k, freedom_left, gains = k[rows], residuals.freedom - k[rows], gains[rows]
-        rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / freedom_left
-        found = np.maximum(gains / k / rest, 0.0), k, gains, coefficients[rows]
-        ends = np.cumsum([count for _, count in moments.effects])
-        stops = np.searchsorted(rows, ends).tolist()
-        for (effect, count), end, start, stop in zip(moments.effects, ends, [0, *stops], stops, strict=False):
-            if start < stop:
-                each = (array[start:stop] for array in found)
-                yield _EffectTests(effect, rows[start:stop] - (end - count), residuals.freedom, *each)
+        tested = shown & (k > 0) & (residuals.freedom - k >= 1)
+        rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / np.where(
+            tested, residuals.freedom - k, 1
+        )
+        ratios = np.maximum(gains / np.maximum(k, 1) / rest, 0.0)
+        ends = np.cumsum([len(each[3]) for each in alike])[:-1]
+        parts = (np.split(array, ends) for array in (tested, ratios, k, gains, coefficients))
+        for (effect, *_), use, *found in zip(alike, *parts, strict=True):
+            if np.any(use):
+                yield _EffectTests(effect, np.flatnonzero(use), residuals.freedom, *(array[use] for array in found))
 
 
 def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: FloatArray, limit: float) -> float:

@@ -19,7 +19,6 @@ from calib.core.data.pose_groups import pose_labels
 from calib.core.judging.acceptance_system import Change, System, candidates
 from calib.core.judging.promise import Promise
 from calib.core.numerics.identifiability import unit_columns
-from calib.core.rows.simulate import simulate
 
 MOST = 300
 """Largest number of examined poses."""
@@ -36,7 +35,8 @@ def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
     try:
         order = some[_order(promise, promise.joints[some], change)]
         for count in _COUNTS:
-            shown = {own.name: own.visible for own in _system(promise, promise.joints[order[:count]]).changes()}
+            system = System.planned(promise, promise.joints[order[:count]], same_setup=False)
+            shown = {own.name: own.visible for own in system.changes}
             if shown.get(change.name, np.inf) <= abs(change.value) or count >= len(order):
                 break
     except CalibrationError:  # poses cannot be simulated, such as those of setups
@@ -44,14 +44,8 @@ def poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
     return tuple(promise.names[k] for k in order[:count])
 
 
-def _system(promise: Promise, joints: FloatArray) -> System:
-    return System.from_promise(
-        promise, simulate(promise.robot, joints, 0.0, np.random.default_rng(0)), same_setup=False
-    )
-
-
 def _order(promise: Promise, joints: FloatArray, change: Change) -> IntArray:
-    system = _system(promise, joints)
+    system = System.planned(promise, joints, same_setup=False)
     number = [known.name for known in candidates(promise.robot)].index(change.name)
     places, layout = system.rows.jacobian[:, ~system.rows.prior.has], system.rows.layout
     columns = unit_columns(np.column_stack([places, system.candidate_columns[:, number]]))[0]

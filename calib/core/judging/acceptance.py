@@ -14,42 +14,35 @@ With C = L L^T this is the least-squares problem y = X b + e of
     y = [r; 0],      X = [J L, P; I, 0],      |e|^2 = Q ~ chi^2_m,   m = readings' rows - rank P
 
 As noise and C were found with nu degrees of freedom, Q / m is compared with F(m, nu). This counts the uncertainty of
-the calibration; residuals against the noise alone would condemn every calibration. Where poses left out of the
-calibration were further off than C and its noise explain (`calib.core.fitting.unseen_errors.left_out_ratio`), both are
-widened by as much.
-
-Where the readings of a pose shared errors in the calibration, so that poses scattered rho times as much as independent
-readings (`calib.core.numerics.clusters`), m readings count as m / rho^2 degrees of freedom against nu, and z is divided
-by rho.
+the calibration; residuals against the noise alone would condemn every calibration. Where left-out poses were further
+off than C and its noise explain (`calib.core.fitting.unseen_errors.left_out_ratio`), both are widened by as much. Where
+readings of a pose scatter rho times as much as independent ones (`calib.core.numerics.clusters`), m readings count as
+m / rho^2, and z is divided by rho.
 
 Drift. A change d of one parameter, or of one joint's zero, adds its column: y = X b + B d + e. With B' the part of
 [B; 0] orthogonal to X, d = B'.y / |B'|^2, and z = B'.y / |B'| is Student's t with nu degrees of freedom if nothing
-changed.
-The smallest p-value times the number of distinct candidates (Holm's first step; parallel columns count once) is the
-chance of such a z by accident. A robot has drifted if that is below the level and the rest agrees; candidates whose z^2
-is within 3.84 of the largest explain the readings about as well, and are named with it. If one change does not
-explain them, the robot needs a new calibration. The level of either test is `LEVEL`.
+changed. The smallest p-value times the number of distinct candidates (Holm's first step; parallel columns count once)
+is the chance of such a z by accident. A robot has drifted if that is below the level and the rest agrees; candidates
+whose z^2 is within 3.84 of the largest explain the readings about as well, and are named with it. If one change does
+not explain them, the robot needs a new calibration.
 
 Power. With n poses a change d gives z the noncentrality |d| |B'|, so that the smallest change that is seen with a
-chance of 90 %, or the number of poses that a given change takes, are known before anything is measured.
+chance of 90 %, or the number of poses that a given change takes, are known before anything is measured. Errors s times
+as large as expected are seen with that chance if s^2 times the 10 % point of F(m, nu) reaches its limit: 1.6 times with
+30 degrees of freedom, 22 times with one. Readings that would not even show errors `TELLING` times as large are too few.
 
 Unlike poses. Noise and errors of joints are mostly what the model leaves out. At poses drawn like the used ones they
 differ from pose to pose, as noise does. Elsewhere, or where poses crowd together
 (`calib.core.data.pose_groups.are_drawn_alike`), they may be one common error, though no larger. Then the n rows read
 there count as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be as
-uncertain there as if only k of the N rows used had decided them: N / k times C. If the readings agree then, nothing
-shows that the robot has changed, and the verdict is about the poses. If a change is significant even then, the robot
-has drifted.
-
-Few readings. With m degrees of freedom, errors s times as large as expected are seen with a chance of 90 % if s^2 times
-the 10 % point of F(m, nu) reaches its limit: 1.6 times with 30, 22 times with one. Readings that would not even show
-errors `TELLING` times as large agree with anything: then the verdict is that they are too few.
+uncertain there as if only k of the N rows used had decided them: N / k times C. If the readings agree then, the verdict
+is about the poses. If a change is significant even then, the robot has drifted.
 
 Millimetres. The mean square distance, which people read, is tested too. It sums squares of unequal expected size, so
 its distribution is taken as an F with the same mean and variance. Its chance of a false alarm is 0.1 %.
 
-Noise. Readings that repeat a pose show noise without a model. Where they scatter more than promised, and the readings
-agree with that scatter as noise, the instrument or the robot's repeatability is worse, and no calibration helps.
+Noise. Where readings that repeat a pose scatter more than promised, and the others agree with that scatter as noise,
+the instrument or the robot's repeatability is worse, and no calibration helps.
 
 When it fails. Readings far from the rest are left out first, up to one in twenty, and named. Several changes at once
 are not distinguished: that is a new calibration's work.

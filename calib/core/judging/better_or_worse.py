@@ -15,12 +15,10 @@ noise that was itself found, with f degrees of freedom: so F replaces the chi-sq
 distribution. The unknown e is replaced by the errors of the better state, where they are larger than the noise, because
 they contain errors of the model. Where poses scatter more than independent readings
 (`calib.core.numerics.clusters`), the mixed part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
-Validation poses whose frame moved are compared with the frame placed anew (`calib.core.fitting.moved_frame`).
 
-This test asks whether the uncertainty of the fit explains the change. A fit that is uncertain at unused poses explains
-much, and harms the robot nevertheless. So a calibration is `worse`, too, if errors are more than `HARM` times as large
-as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with a chance of 0.1 % by
-Student's t; and `better` if errors before are larger than after in the same way.
+The uncertainty of a fit explains much where it is uncertain, and harms the robot nevertheless. So a calibration is
+`worse`, too, if errors are more than `HARM` times as large as before, and the differences |a_k|^2 - |b_k|^2, summed
+pose by pose, have a mean above zero with a chance of 0.1 % by Student's t; and `better` in the same way.
 
 When it fails. Both parts of the change grow with the same d: up to 0.25 % of robots that need no correction are called
 worse instead of 0.1 %. Errors of the model are no noise, and follow the poses: where unused poses are few and alike,

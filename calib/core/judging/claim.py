@@ -1,17 +1,11 @@
 """The claim of a calibration on the error of the robot where it was measured, and its test at unused poses.
 
-The claim. Each used pose is predicted by the fit of all others. Of the errors at further poses like them, 95 in 100
-stay below `limit95`, whatever their distribution (`calib.core.fitting.unseen_errors`).
-
-Whether it holds. At n poses that had no part in the fit, such as validation poses, the root mean square error may be
-`MORE` times that of the claim; more only where n is so small that chance makes it so in one case of a thousand (F, with
-as many degrees of freedom as coordinates were read, or as poses where the readings of a pose share errors).
-A few wild readings decide a root mean square, and the claim excludes 5 poses in 100. So where at most 5 in 100 are
-outliers, the claim also holds if the other poses are no more than `MORE` times as far off, and chance (binomial) allows
-the number of poses beyond `MORE` times `limit95`. A reason of their own names the outliers.
-
-Whether the robot gets better. On unused poses, if there are any, by `calib.core.judging.better_or_worse`; else by
-Student's t of the squared error of each pose, when it is left out, minus the nominal robot's.
+Each used pose is predicted by the fit of all others. Of the errors at further poses like them, 95 in 100 stay below
+`limit95`, whatever their distribution (`calib.core.fitting.unseen_errors`). docs/verdict.md says when the claim holds,
+when the robot gets better, and which poses are unlike those measured. Chance allows one case in a thousand: for the
+root mean square by F, with as many degrees of freedom as coordinates were read, or as poses where the readings of a
+pose share errors; for numbers of poses by the binomial distribution; for the gain without unused poses by Student's t
+of the squared error of each pose, when it is left out, minus the nominal robot's.
 
 At other poses. The claimed mean square error consists of errors that no parameter describes and of the uncertainty of
 the parameters. Elsewhere the second grows: where positions are known to k' and not to k, both root mean squares
@@ -23,12 +17,7 @@ and `limit95` grows in proportion. In `rms`, each pose is predicted without its 
 k^2 = k_all^2 + s^2, with k_all from the covariance of the fit of all poses, and s the root mean square shift of
 predictions when the pose itself is left out. For independent noise f, the covariance of this shift equals the
 information that the pose adds about itself: cov r_k = f^2 (1 - H_k), so that with the step du of
-`calib.core.fitting.unseen_errors` cov du = f^2 C J_k^T (1 - H_k)^-1 J_k C. docs/verdict.md shows how well that holds on
-real robots.
-
-Like those measured. Unused poses may lie elsewhere: in an unused setup, or apart from all used poses
-(`calib.core.data.pose_groups.is_apart`). If more of them are apart than chance explains (one case in a thousand),
-errors there say little about the claim.
+`calib.core.fitting.unseen_errors` cov du = f^2 C J_k^T (1 - H_k)^-1 J_k C.
 
 When it fails. New poses unlike the measured ones may be worse by errors of the model: in another region, under another
 load, at another place of a touched object. A change in the course of the measurement goes on after it. Copies of a pose

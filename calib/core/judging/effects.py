@@ -1,25 +1,18 @@
 """Effects that a model may leave out, as columns: their parts of the whitened rows of a fit.
 
-All are displacements of the targets through the robot, d(position)/d(joint) with loops closed, or motions of the
-frames that positions are measured in:
+`calib.core.judging.effect_kinds` lists the kinds. Each is a derivative of `calib.core.judging.row_derivatives`, times
+factors of each visit:
 
-    axis, turn, scale      a constant shift, a constant turn of the measurement frame, lengths that are all too long
-    offset, factor         a constant in the readings of one instrument, readings that are too large by a factor
-    drift, turning, growth the same, changing smoothly in the course of the measurement: a tracker or a base that moved,
-                           a robot or an instrument that warms up
-    slip                   a target that sits elsewhere on its link from one visit on
-    link                   a target that moves with a joint that should not move it: one described on another link
-    joint                  each joint off by a smooth curve of its own value (Legendre polynomials of degree 1 to 3 over
-                           the range measured): gear error, lead error, gravity sag
-    wave                   each joint off by a sine of 1 to 120 cycles a turn: the teeth of a gear, an encoder's lines
-    coupling               each joint off in proportion to the value of a neighbour: gears or belts on one shaft
-    approach               each joint off by +-b, by the direction in which it moved last: backlash 2b
-    zero                   each joint off by an error that changes in the course of the measurement: an encoder or a
-                           belt that slipped, warming up
+    drift, turning, growth,  Legendre polynomials of degree 1 to 3 of the course of the measurement: the time, where the
+    zero                     data have it, and else the order of the rows. They explain 86 % of a sudden step
+    joint                    the same of the joint's own value over the range measured: gear error, lead error, sag
+    wave                     cosine and sine of 1 to 120 cycles a turn: the teeth of a gear, an encoder's lines
+    coupling                 the value of a neighbouring joint: gears or belts on one shaft
+    approach                 +-1, by the direction in which the joint moved last: half the backlash
+    slip                     0, and 1 from one visit on
+    all others               1 at each visit
 
-The derivatives are those of `row_derivatives`, times factors of each visit. The course of the measurement is the time,
-where the data have it, and else the order of the rows. A sudden change shows too: a polynomial of degree 3 explains
-86 % of a step. Joints that never moved get no effects.
+Joints that never moved get no effects.
 """
 
 from __future__ import annotations

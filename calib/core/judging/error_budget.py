@@ -5,15 +5,14 @@ J(t) their derivative, and d_k the change of the parameters of cause k. By the c
 
     |e(0)|^2 - |e(1)|^2  =  sum over k of  s_k,        s_k = - integral over t of 2 e(t)^T J_k(t) d_k
 
-which adds up exactly and depends on no order: s_k is the Aumann-Shapley value. Where e is nearly linear in t, it is the
-mean contribution of cause k over all orders of adding the causes (the Shapley value); a single order gives other
-numbers, because causes such as a gain and a length partly explain the same error.
-Three Gauss points integrate it. A part is negative where a cause makes these readings worse.
+which adds up exactly and depends on no order of adding the causes: s_k is the Aumann-Shapley value, nearly the mean
+over all orders (Shapley) where e is nearly linear. Three Gauss points integrate it. A part is negative where a cause
+makes these readings worse.
 
-Before calibration, unknown base and targets are placed as well as possible. These places can absorb a part of the
-change J_k d_k of another cause: its projection on their columns. That part counts as one of the places: a base that
-is lower and a first joint that is higher are the same robot, and the split must not depend on which was found. The
-part of the places is then near zero, because their errors are not in the error before.
+Unknown base and targets are placed as well as possible before calibration, too. They can absorb a part of the change
+J_k d_k of another cause: its projection on their columns. That part counts as one of the places: a base that is lower
+and a first joint that is higher are the same robot, and the split must not depend on which was found. The part of the
+places is then near zero.
 
 On unused readings (validation), s_k is the error that the calibration really removes, and e(1) the rest. On the used
 readings, noise was fitted too: with m rows, leverage h_k of the parameters of cause k (the sum over the rows of
@@ -21,12 +20,12 @@ J_k (K J^T)_k, K the scaled covariance) and s^2 = |e(1)|^2 / (m - sum of h), eve
 and |e(1)|^2 as much too small; this is corrected.
 
 The rest splits into noise and unexplained errors only if the noise is known otherwise: from repeats of poses (which
-contain the robot's repeatability too), or as stated. Noise that was found from the residuals is the whole rest.
+contain the robot's repeatability too), or as stated.
 
 Standard deviations come from the choice of poses (by the sum of each pose, since its repeats share errors). Those of
 causes also come from their parameters (`Fit.uncertainty`): s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own
-parameters) + J^T J_k d_k, with J_k projected if there are places. J^T is taken after calibration (t = 1). There,
-directions that the readings do not determine move no reading. So they do not count, however uncertain they are.
+parameters) + J^T J_k d_k, with J_k projected if there are places. J^T is taken at t = 1, where directions that the
+readings do not determine move no reading: they do not count, however uncertain they are.
 
 When it fails. With few poses the split of the rest is uncertain. Parameters of a named parametrisation all count as
 geometry.

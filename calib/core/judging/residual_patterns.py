@@ -7,25 +7,20 @@ change of the measured rows) the linear model r = J du + Z c is compared with th
     gain = r^T Z (Z^T M Z)^-1 Z^T r                    by how much |r|^2 would fall
     F = (gain / k) / ((|r|^2 - gain) / (nu - k))       against F(k, nu - k), k columns left after M
 
-The effects are those of `calib.core.judging.effects`. An effect that the fit absorbs (a constant shift, where the base
-is free) is invisible and not tested: `visible` gives the size at which it would show. Effects come in families of
-kinds, which share the chance of a false finding evenly; in a family, the chance of each finding is multiplied by the
-number of its tests. A finding needs a chance below 1 % over all families, and an effect of at least a tenth of the
-noise: enough data make any trifle significant. Where poses scatter more than independent readings
-(`calib.core.numerics.clusters`), F is divided by the excess scatter of the effect's score, summed pose by pose, and nu
-is that of this scatter. A fit follows each pose a little, so that its residuals scatter too little. So a finding must
-also hold with other residuals: those of each pose if fit and effect are found from all other poses. Of waves and of
-slips, which are tried by the dozen for each joint or target, the best is kept.
-
-The direction of approach and, without a time, the course of the measurement come from the order of the rows in the data
-file, which must be the order of measurement.
+An effect that the fit absorbs (a constant shift, where the base is free) is invisible and not tested. Families of kinds
+share the chance of a false finding evenly; in a family, the chance of each finding is multiplied by the number of its
+tests. A finding needs a chance below 1 % over all families, and an effect of at least a tenth of the noise: enough data
+make any trifle significant. Where poses scatter more than independent readings (`calib.core.numerics.clusters`), F is
+divided by the excess scatter of the effect's score, summed pose by pose, and nu is that of this scatter. A fit follows
+each pose a little, so that its residuals scatter too little. So a finding must also hold with other residuals: those of
+each pose if fit and effect are found from all other poses.
 
 Many effects at once. A test needs only Z^T Z, (J T)^T Z with the span J T of the fit, and Z^T r. The effects of a
 joint, a target or a frame have the columns of one base times factors of each visit, such as sin(k q_i) and cos(k q_i)
 of a wave. So the sums over the rows of a visit are computed once for each base and serve all its effects.
 
-When it fails. Effects of other shapes stay in the noise; two effects that look alike at the measured poses are both
-named. F supposes normal noise.
+When it fails. Without a time, the order of the rows in the data file must be that of the measurement. Effects of other
+shapes stay in the noise; two effects that look alike at the measured poses are both named. F supposes normal noise.
 
 Reference: cook1982, chapter 2.4 (added variables), and 3 (residuals without the pose that is judged).
 """

@@ -23,23 +23,10 @@ from calib.core.judging.error_budget import ErrorBudget, causes_of, error_budget
 from calib.core.judging.linear_fit import LinearFit
 from calib.core.judging.promise import Promise
 from calib.core.judging.row_derivatives import EffectSetting
-from calib.core.numerics.losses import StudentisedErrors
 from calib.core.numerics.tall import Span
 
 MOST_POSES = 10_000
 """Patterns, scales and causes are judged on at most this many poses: more take time, and hardly change the answer."""
-
-
-@memoize
-def validation_studentised(fit: Fit) -> StudentisedErrors | None:
-    """Return the studentised error of every validation reading, from noise and all uncertainty; None without any."""
-    if fit.validation is None:
-        return None
-    rows = System.from_promise(Promise.from_calibration(fit), fit.validation.data, same_setup=True).rows
-    unused, known = np.zeros(rows.layout.n_readings), np.eye(rows.jacobian.shape[1])
-    return rows.studentise(
-        Span(rows.jacobian, known), unused, fit.statistics.freedom, studentise_errors(fit).scale / noise_factor(fit)
-    )
 
 
 @memoize
@@ -51,10 +38,13 @@ def outliers(fit: Fit) -> tuple[Outlier, ...]:
 @memoize
 def validation_outliers(fit: Fit) -> tuple[Outlier, ...]:
     """Return validation readings further off than noise and uncertainty explain, worst first."""
-    rows, far_off = fit.validation_rows, validation_studentised(fit)
-    if fit.validation is None or rows is None or far_off is None:
+    layout = None if fit.validation_rows is None else fit.validation_rows.layout
+    if fit.validation is None or layout is None:
         return ()
-    return outliers_of(far_off, fit.validation, rows.layout)
+    rows = System.from_promise(Promise.from_calibration(fit), fit.validation.data, same_setup=True).rows
+    span, unused = Span(rows.jacobian, np.eye(rows.jacobian.shape[1])), np.zeros(rows.layout.n_readings)
+    scale = studentise_errors(fit).scale / noise_factor(fit)
+    return outliers_of(rows.studentise(span, unused, fit.statistics.freedom, scale), fit.validation, layout)
 
 
 @memoize
@@ -108,8 +98,7 @@ def linear(fit: Fit) -> LinearFit:
     fit = sample_of_poses(fit)
     rows, known = fit.weighted_rows, fit.statistics
     pose_freedom = np.inf if known.shared_scatter is None else known.shared_scatter.freedom
-    factors = known.factors
-    return LinearFit(rows, rows.span, known.freedom, factors.common, pose_freedom, factors.confirmed)
+    return LinearFit(rows, rows.span, known.freedom, known.factors.common, pose_freedom, known.factors.confirmed)
 
 
 @memoize

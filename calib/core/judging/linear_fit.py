@@ -35,8 +35,8 @@ class LinearFit:
     span: Span
     freedom: float
     factor: float
-    pose_freedom: float = np.inf
-    confirmed: float = 0.0
+    pose_freedom: float
+    confirmed: float
 
     def after_fit(self, effect: FloatArray) -> FloatArray:
         """Return M Z, the remainder of effects Z (n_rows, n_effects) in the residuals, (n_rows, n_effects)."""

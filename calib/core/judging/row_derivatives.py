@@ -1,9 +1,8 @@
 """Derivatives of the whitened rows of a fit, by errors that its model may leave out.
 
 All are displacements of the targets through the robot, d(position)/d(joint) with loops closed, or motions of the
-frames that positions are measured in, sizes of lengths, and constants and factors in the readings of instruments.
-`effects` multiplies them by their course over the visits. Turns and scales are taken about the middle of the points, so
-that they contain no shifts.
+frames that positions are measured in, sizes of lengths, and constants and factors in the readings of instruments. Turns
+and scales are taken about the middle of the points, so that they contain no shifts.
 """
 
 from __future__ import annotations
@@ -151,21 +150,20 @@ def _parts(setting: EffectSetting) -> Iterator[tuple[str, Part, int, BoolArray]]
 
 
 def _whitened_alone(setting: EffectSetting, name: str, change: FloatArray) -> FloatArray:
-    robot, arrays = setting.fit.robot, dict[str, FloatArray]()
-    for other, read in setting.data.readings.items():
-        shape = len(read), robot.instrument(other).n_rows, change.shape[2]
-        arrays[other] = np.broadcast_to(change, shape) if other == name else np.zeros(shape)
-    return setting.whiten(arrays)
+    changes = _no_change(setting, change.shape[2])
+    changes[name][:] = change
+    return setting.whiten(changes)
+
+
+def _no_change(setting: EffectSetting, count: int) -> dict[str, FloatArray]:
+    read, robot = setting.data.readings, setting.fit.robot
+    return {name: np.zeros((len(own), robot.instrument(name).n_rows, count)) for name, own in read.items()}
 
 
 def errors_in_links(setting: EffectSetting, residuals: FloatArray) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
     """Yield rows of the positions of each instrument, the axes of the target's link there, and errors along these.
 
-    Args:
-        residuals: Whitened residuals, (n_rows,).
-
-    Returns:
-        Rows, (n, 3); axes in the measurement frame, (n, 3, 3); errors over the standard deviation of a row, (n, 3).
+    Rows are (n, 3), axes in the measurement frame (n, 3, 3), and errors (n, 3), by whitened residuals (n_rows,).
     """
     for name, target, of_position in seen_targets(setting):
         own = setting.fit.whitening.layout.rows_of(name)
@@ -192,13 +190,11 @@ def _frame_derivative(setting: EffectSetting) -> dict[str, FloatArray]:
     The sizes are those of all lengths (`length_derivative`), positions from the middle of the points, and of positions
     along x, y and z. Along one axis they are as predicted: those of a planar robot would be noise alone.
     """
-    result, points, fit, robot = dict[str, FloatArray](), _points(setting), setting.fit, setting.fit.robot
+    result, points, fit, robot = _no_change(setting, 10), _points(setting), setting.fit, setting.fit.robot
     others = {k: own for k, own in setting.data.readings.items() if k not in points or robot.instrument(k).n_rows > 3}
     lengths = length_derivative(robot, fit.configurations, others) if others else {}  # those of points are replaced
-    for name, readings in setting.data.readings.items():
-        instrument = robot.instrument(name)
-        result[name] = columns = np.zeros((len(readings), instrument.n_rows, 10))
-        rows = _position_rows(instrument)
+    for name, columns in result.items():
+        rows = _position_rows(robot.instrument(name))
         columns[:, :, 6] = lengths.get(name, 0.0)
         if len(rows) == 3:
             columns[:, rows, :3] = np.eye(3)
@@ -277,10 +273,7 @@ def moved_targets(setting: EffectSetting) -> dict[str, list[FloatArray]]:
 
 def _moved_target(setting: EffectSetting, target: str) -> list[FloatArray]:
     robot, links = setting.fit.robot, [None, *other_joints(setting.fit.robot, target)]
-    result: dict[str, FloatArray] = {
-        name: np.zeros((len(readings), robot.instrument(name).n_rows, 3 * len(links)))
-        for name, readings in setting.data.readings.items()
-    }
+    result = _no_change(setting, 3 * len(links))
     for name, own, rows in seen_targets(setting):
         if own == target:
             readings, pairs = setting.data.readings[name], robot.pairs[name]

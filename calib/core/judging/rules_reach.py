@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
 
 import numpy as np
 
@@ -75,16 +74,20 @@ def check_joint_motion(fit: Fit) -> Iterator[Reason]:
 
 def far_validation(fit: Fit) -> Iterator[Reason]:
     """Report validation poses that lie where the used poses leave positions uncertain."""
-    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
+    known = None if fit.computed else fit.validation_uncertainty
+    if known is None:
         return
-    at_used = _rms(fit.identification_uncertainty.reported_distance)
-    away = float(np.median(fit.validation_uncertainty.reported_distance))
+    at_used, away = _known_at_used(fit), float(np.median(known.reported_distance))
     if away > _well_known(fit, at_used):
         yield Code.VALIDATED_ELSEWHERE.says(
             f"validation poses lie far from the poses used: positions are known to {quantity_text(away, 'mm', '.2g')}"
             f" there, but to {quantity_text(at_used, 'mm', '.2g')} RMS at the poses used. Measure there too, and"
             " validate among the poses used"
         )
+
+
+def _known_at_used(fit: Fit) -> float:
+    return float(np.sqrt(np.mean(fit.identification_uncertainty.reported_distance**2)))
 
 
 def _poses_over_range(fit: Fit, j: int, allowed: float) -> FloatArray:
@@ -107,10 +110,6 @@ def _well_known(fit: Fit, at_used: float) -> float:
     """Largest uncertainty of well-known positions [m], from the uncertainty `at_used` at the used poses."""
     lengths = fit.first_noise.group.part.dimension == "length"
     return max(LESS_KNOWN * at_used, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def check_joint_limits(fit: Fit) -> Iterator[Reason]:
@@ -144,12 +143,12 @@ def _joint_ranges(robot: Robot) -> FloatArray:
 
 def check_curve_ranges(fit: Fit) -> Iterator[Reason]:
     """Look for validation poses outside the learned range of a joint's curve, where positions are uncertain."""
-    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
+    known = None if fit.computed else fit.validation_uncertainty
+    if known is None or fit.validation is None:
         return
     outside = is_beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
-    at_used = _rms(fit.identification_uncertainty.reported_distance)
-    away = np.max(fit.validation_uncertainty.reported_distance, axis=1)
-    outside[away <= _well_known(fit, at_used)] = False
+    away = np.max(known.reported_distance, axis=1)
+    outside[away <= _well_known(fit, _known_at_used(fit))] = False
     poses = np.flatnonzero(np.any(outside, axis=1))
     if len(poses):
         joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
@@ -173,7 +172,7 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
 
 def terms_untested(fit: Fit) -> Iterator[Reason]:
     """Look for joint terms that leave positions uncertain where each joint keeps its measured values."""
-    accuracy = _widening_sentence(fit, partial(recombined_joints, fit.identification.data.joints, _SAMPLED))
+    accuracy = _widening_sentence(fit, lambda: recombined_joints(fit.identification.data.joints, _SAMPLED))
     if accuracy:
         yield Code.TERMS_UNTESTED.says(
             f"the poses used hardly determine the joint terms at other combinations of the same joint values: positions"
@@ -184,9 +183,9 @@ def terms_untested(fit: Fit) -> Iterator[Reason]:
 
 def terms_beyond(fit: Fit) -> Iterator[str]:
     """Report the uncertainty of positions beyond the joint values from which terms were learned."""
-    accuracy = _widening_sentence(fit, partial(_over_joint_ranges, fit))
+    accuracy = _widening_sentence(fit, lambda: _over_joint_ranges(fit))
     if accuracy:
-        yield (f"not all of the joints' range was measured: over all of it, positions are known to {accuracy}")
+        yield f"not all of the joints' range was measured: over all of it, positions are known to {accuracy}"
 
 
 def positions_not_claimed(fit: Fit) -> Iterator[str]:

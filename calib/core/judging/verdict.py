@@ -15,7 +15,7 @@ Entry points of the group `calib.reasons` add rules of other packages: functions
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Self
 
@@ -93,6 +93,14 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
 _ORDER = ("FAIL", "CHECK", "PASS")
 _IN_MISTAKE = {Code.ZERO_READINGS, Code.EQUAL_COLUMNS, Code.JOINT_SCALED}
 """Reasons that a likely mistake already names."""
+_SUPERSEDED = (
+    (Code.WORSE_ON_VALIDATION, Code.NO_GAIN),
+    (Code.NOISE_AS_LARGE_AS_ROBOT, Code.SYSTEMATIC),
+    (Code.NOISE_AS_LARGE_AS_ROBOT, Code.JOINT_SCALED),
+    (Code.POSES_EQUAL, Code.NOISE_AS_LARGE_AS_ROBOT),  # a robot that did not move
+    (Code.EQUAL_COLUMNS, Code.INSTRUMENTS_DISAGREE),
+)
+"""Reasons, and others that they include or explain."""
 _NOTHING_FITS = {Code.NOT_CONVERGED, Code.NOT_ASSEMBLED, Code.NOISE_AS_LARGE_AS_ROBOT, Code.FAR_FROM_NOMINAL}
 _MOVED = {Code.AT_BOUNDS}  # effect of a base that is a little elsewhere
 NO_MATTER = 0.25
@@ -119,10 +127,10 @@ def judge(fit: Fit) -> Verdict:
         reasons = [*rules_model.claim_broken(fit, claim, no_correction=no_correction), *reasons]
     if claim is not None:
         reasons += rules_reach.check_tolerance(fit, claim)
-    reasons = [reason for reason in reasons if reason.code not in _superseded_codes(reasons)]
-    nothing_fits = (
-        bool(codes & _NOTHING_FITS) and not fit.convergence.receding_parameters
-    )  # if parameters recede, the poses are the cause
+    codes_so_far = {reason.code for reason in reasons}
+    superseded = {less for more, less in _SUPERSEDED if more in codes_so_far}
+    reasons = [reason for reason in reasons if reason.code not in superseded]
+    nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding_parameters  # else poses are the cause
     gross = nothing_fits or rules_noise.is_noise_too_large(fit)
     scaled = any(reason.code == Code.JOINT_SCALED for reason in reasons)
     mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma, gross=False) if scaled else ""
@@ -146,24 +154,6 @@ def judge(fit: Fit) -> Verdict:
     if grade == "FAIL":  # other findings say nothing about numbers that must not be used
         return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))
     return Verdict(grade, tuple(reasons), not_covered(fit), claim)
-
-
-def _superseded_codes(reasons: Sequence[Reason]) -> set[Code]:
-    """Codes of reasons that other reasons supersede or explain.
-
-    Larger errors than before supersede the lack of a gain. Residuals as large as the robot supersede patterns and
-    scales of joints, and a robot that did not move supersedes such residuals. A column that was copied over another
-    explains instruments that disagree.
-    """
-    codes = {reason.code for reason in reasons}
-    pairs = (
-        (Code.WORSE_ON_VALIDATION, Code.NO_GAIN),
-        (Code.NOISE_AS_LARGE_AS_ROBOT, Code.SYSTEMATIC),
-        (Code.NOISE_AS_LARGE_AS_ROBOT, Code.JOINT_SCALED),
-        (Code.POSES_EQUAL, Code.NOISE_AS_LARGE_AS_ROBOT),
-        (Code.EQUAL_COLUMNS, Code.INSTRUMENTS_DISAGREE),
-    )
-    return {less for more, less in pairs if more in codes}
 
 
 def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
@@ -195,16 +185,14 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
 
 
 def _scale(fit: Fit) -> Iterator[str]:
-    """Line on an error of all lengths (an instrument's scale, heat) that the measurements would not show.
-
-    Contacts at unknown places have no length, so they show none; angles need none.
-    """
+    """Line on an error of all lengths that the measurements would not show; angles need none."""
     column, linear = scales(findings.setting(fit))[:, :1], findings.linear(fit)
     if np.any(column):
         least, nothing = linear.visible(column), "nothing else"
         made = least * float(np.linalg.norm(column)) / np.sqrt(linear.freedom - linear.confirmed)
     else:
-        least = made = np.inf if any(group.part.dimension == "length" for group in fit.whitening.groups) else 0.0
+        contacts = any(group.part.dimension == "length" for group in fit.whitening.groups)  # at unknown places
+        least = made = np.inf if contacts else 0.0
         nothing = "nothing"
     if made > NO_MATTER * linear.factor:
         below = f" below {float(f'{millimetres(least):.2g}'):g} mm in 1 m" if least < LARGEST else ""
@@ -300,10 +288,8 @@ class JudgedFit(Fit):
         claim = self.verdict.claim
         if claim is None or not claim.at_measured_poses.is_position:
             return None
-        given_poses = as_poses(self.robot, poses)
-        known = self.reported_uncertainty.predict(
-            given_poses.joints, given_poses.conditions if context is None else context
-        )
+        given = as_poses(self.robot, poses)
+        known = self.reported_uncertainty.predict(given.joints, given.conditions if context is None else context)
         return claim.error_at(float(np.sqrt(np.mean(known.reported_distance**2))))
 
     @property

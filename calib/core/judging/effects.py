@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.memoize import memoize
 from calib.core.base.words import count_noun
 from calib.core.fitting.pose_checks import unmoved_joints
@@ -79,11 +79,8 @@ class Effects:
     def detail(self, numbers: IntArray, gains: FloatArray, row: int, margin: float) -> str:
         """Return the detail of an effect.
 
-        Args:
-            numbers: The tested effects, in rising order, (n_tested,).
-            gains: How much of |r|^2 each explains, (n_tested,).
-            row: The row of the effect among these.
-            margin: Difference of gains that noise could have caused.
+        It is in one row of the tested effects, whose `numbers` rise and which explain `gains` of |r|^2, (n_tested,).
+        Noise could have caused a difference of gains of `margin`.
         """
         return self.details[numbers[row]]
 
@@ -149,19 +146,17 @@ def wave_orders(phases: FloatArray) -> list[range]:
     """
     few = phases[:: len(phases) // _VISITS_LOOKED_AT + 1]
     common = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=1)) > _LIKELY
-    return [_orders(phase, same) for phase, same in zip(phases.T, common.T, strict=True)]
-
-
-def _orders(phase: FloatArray, same: BoolArray) -> range:
-    """Orders of one joint; of `same`, numbers of cycles of which all phases may be equal, (n_orders,)."""
-    reach = float(np.ptp(phase))
-    if reach == 0:
-        return range(0)
-    likely = np.flatnonzero(same)
-    likely = likely[likely >= int(np.ceil(TURN / reach - _SAME)) - 1] + 1  # not less than one cycle
-    grid = next((order for order in likely if abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID), 2 * ORDERS.stop)
-    stop = min(int(grid) // 2 + 1, ORDERS.stop)
-    return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), stop), stop)
+    orders = []
+    for phase, same, reach in zip(phases.T, common.T, np.ptp(phases, axis=0).tolist(), strict=True):
+        if reach == 0:
+            orders.append(range(0))
+            continue
+        likely = np.flatnonzero(same)
+        likely = likely[likely >= int(np.ceil(TURN / reach - _SAME)) - 1] + 1  # not less than one cycle
+        grid = next((order for order in likely if abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID), 2 * ORDERS.stop)
+        stop = min(int(grid) // 2 + 1, ORDERS.stop)
+        orders.append(range(min(int(np.ceil(TURN / 2 / reach - _SAME)), stop), stop))
+    return orders
 
 
 @memoize

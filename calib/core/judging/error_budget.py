@@ -128,12 +128,11 @@ def error_budget(fit: Fit, causes_by_parameter: Sequence[str]) -> ErrorBudget:
     layout = rows.layout
     counted = np.array([group.part.name == errors.main_part.name for group in layout.groups] + [False])[layout.group]
     before, removed, gradient, pose = _integrate(fit, errors, members, layout, counted)
-    n, width = len(before), int(np.sum(counted))
+    n, n_poses, width = len(before), len(np.unique(pose)), int(np.sum(counted))
     if fit.validation is None:
         leverage = _leverage(rows, unknowns, members, counted)
         left = float(np.sum(before) - np.sum(removed))
         removed = removed - left / max(width - float(np.sum(leverage)), 1.0) * leverage / n
-    rest = before - np.sum(removed, axis=1)
     n_free, known = len(unknowns), fit.uncertainty.covariance_of(fit.robot)
     spread = np.einsum("kf,fg,kg->k", gradient, known[:n_free, :n_free], gradient) / n**2
     shares = [
@@ -143,25 +142,17 @@ def error_budget(fit: Fit, causes_by_parameter: Sequence[str]) -> ErrorBudget:
     typical = np.array([group.typical if group.stated else np.nan for group in layout.groups])
     stated = float(np.sum(typical[layout.group[counted]] ** 2)) / n
     noise, noise_std, source = _noise(errors, stated, width / n)
+    rest = before - np.sum(removed, axis=1)
     left, left_std = float(np.mean(rest)), _std(rest, pose)
     if source:
         beyond = CauseShare(UNEXPLAINED, left - noise, float(np.hypot(left_std, noise_std)))
         shares += [CauseShare(NOISE, noise, noise_std), beyond]
     else:
         shares.append(CauseShare(REST, left, left_std))
-    return ErrorBudget(
-        fit.validation is None,
-        errors.main_part,
-        n,
-        len(np.unique(pose)),
-        float(np.mean(before)),
-        left,
-        tuple(shares),
-        source,
-        _advice(
-            left, noise, shares[-1], source, float(np.hypot(noise_std, noise * np.sqrt(2.0 / len(np.unique(pose)))))
-        ),
-    )
+    by_chance = float(np.hypot(noise_std, noise * np.sqrt(2.0 / n_poses)))
+    advice = _advice(left, noise, shares[-1], source, by_chance)
+    mean = float(np.mean(before))
+    return ErrorBudget(fit.validation is None, errors.main_part, n, n_poses, mean, left, tuple(shares), source, advice)
 
 
 def _integrate(
@@ -169,9 +160,8 @@ def _integrate(
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
     """Integrate over the path from before to after, for parameters of causes (n_causes, n_free) and rows that count.
 
-    Returns:
-        |e(0)|^2 of each reading, (n_readings,); s_k of each, (n_readings, n_causes); the gradient of the sum of s_k by
-        the unknowns, (n_causes, n_free); and the pose of each reading.
+    Returns |e(0)|^2 and s_k of each reading, (n_readings,) and (n_readings, n_causes), the gradient of the sum of s_k
+    by the unknowns, (n_causes, n_free), and the pose of each reading.
     """
     before, after, unknowns = fit.placed, fit.robot, fit.unknowns
     way = after.values - before.values
@@ -182,7 +172,7 @@ def _integrate(
     of_counted = slice(None) if np.all(counted) else counted
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
-        jacobian, residuals = _batches(robot, errors, unknowns, layout)
+        jacobian, residuals = _linear_model(robot, errors, unknowns, layout)
         by_places, moved = _basis(jacobian[of_counted][:, unknowns.placement]), (jacobian @ steps)[of_counted]
         total = np.sum(moved, axis=1)
         absorbed = by_places @ (by_places.T @ total)
@@ -191,7 +181,7 @@ def _integrate(
         removed[of_counted] -= weight * residuals[of_counted, None] * moved
         for k, column in enumerate((total - absorbed, absorbed, *moved.T)):
             pulling[of_counted, k] += weight / 2.0 * column
-    pulled = _batches(after, errors, unknowns, layout)[0][of_counted].T @ pulling[of_counted]
+    pulled = _linear_model(after, errors, unknowns, layout)[0][of_counted].T @ pulling[of_counted]
     gradient = members * pulled[:, 0] + pulled[:, 2:].T
     gradient[places] += pulled[:, 1]
     chosen = np.unique(layout.reading[counted])
@@ -201,7 +191,7 @@ def _integrate(
     return sums[:, 0], sums[:, 1:], gradient, layout.pose[chosen]
 
 
-def _batches(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout) -> tuple[FloatArray, FloatArray]:
+def _linear_model(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout) -> tuple[FloatArray, FloatArray]:
     """Derivative (n_rows, n_free) and residuals (n_rows,) of all rows, of a robot on the path."""
     data = errors.data
     configurations = robot.assemble(data.joints, errors.passive, data.labels, data.conditions)

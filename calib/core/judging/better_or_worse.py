@@ -29,13 +29,13 @@ Reference: satterthwaite1946.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.memoize import memoize
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.unseen_errors import accuracy_of_errors, unused_errors
@@ -47,7 +47,7 @@ HARM = 1.25
 parameters, the fewest allowed, its noise alone makes errors sqrt(1 + 1/2) = 1.22 times as large."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class UnusedErrors:
     """Errors on one set of unused poses.
 
@@ -56,6 +56,7 @@ class UnusedErrors:
     """
 
     name: str
+    errors: ErrorSet
     accuracy: Accuracy
     better: bool
     worse: bool
@@ -67,36 +68,36 @@ class UnusedErrors:
         return f"RMS {known.in_unit(known.rms)} after, {known.in_unit(known.before)} before"
 
 
-def comparisons(fit: Fit) -> Iterator[UnusedErrors]:
+@memoize
+def comparisons(fit: Fit) -> tuple[UnusedErrors, ...]:
     """Compare before and after on the validation poses and in cross-validation, as far as these exist."""
+    compared = []
     for errors, poses in () if fit.computed else unused_errors(fit):
         name, fewer = f"the validation poses{'' if errors is fit.validation else ', their frame placed anew'}", 1.0
         if poses is PoseUse.FOLDS and fit.folds is not None:
             name = f"{'setups' if fit.folds.setups else 'poses'} left out in turn"
             fewer = fit.folds.count / (fit.folds.count - 1)  # each fold is predicted by a fit of the others
-        yield _compare(fit, name, errors, poses, fewer)
+        compared.append(UnusedErrors(name, errors, accuracy_of_errors(errors, poses), *_compare(fit, errors, fewer)))
+    return tuple(compared)
 
 
-def _compare(fit: Fit, name: str, errors: ErrorSet, poses: PoseUse, covariance: float) -> UnusedErrors:
+def _compare(fit: Fit, errors: ErrorSet, fewer: float) -> tuple[bool, bool]:
+    """Whether errors became smaller, and larger, beyond chance, with `fewer` times the covariance of the fit."""
     before, rows = fit.whitened_residuals_and_rows(errors)
-    scaled = fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
-    product = rows.jacobian.T @ rows.jacobian @ (covariance * scaled)
+    covariance = fewer * fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
+    product = rows.jacobian.T @ rows.jacobian @ covariance
     squares = float(before @ before), float(rows.residuals @ rows.residuals)
     change, expected = squares[1] - squares[0], float(np.trace(product))
     pose = np.unique(rows.layout.pose_of_row, return_inverse=True)[1]
     if fit.statistics.shared_scatter is not None:
         left = rows.residuals if squares[1] < squares[0] else before
         sums = np.stack([np.bincount(pose, column * left) for column in rows.jacobian.T], axis=1)
-        mixed = float(np.sum((sums @ (covariance * scaled)) * sums))
+        mixed = float(np.sum((sums @ covariance) * sums))
     else:
         mixed = max(1.0, min(squares) / rows.layout.n_read) * expected
     spread = _margin_above_mean(product, mixed, fit.statistics.freedom)
-    return UnusedErrors(
-        name,
-        accuracy_of_errors(errors, poses),
-        better=change < min(0.0, expected - spread) or _has_grown(pose, rows.residuals, before),
-        worse=change > expected + spread or _has_grown(pose, before, rows.residuals),
-    )
+    better = change < min(0.0, expected - spread) or _has_grown(pose, rows.residuals, before)
+    return better, change > expected + spread or _has_grown(pose, before, rows.residuals)
 
 
 def _has_grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:

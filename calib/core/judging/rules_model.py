@@ -235,7 +235,7 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
     """Report a calibration without gain: on unused poses, else by an F test of all parameters but placements."""
     if fit.computed:
         return
-    entries = list(comparisons(fit))
+    entries = comparisons(fit)
     if np.all(fit.unknowns.placement) or any(entry.better or entry.worse for entry in entries):
         return
     chance = _chance_of_gain(fit)

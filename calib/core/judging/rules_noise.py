@@ -216,7 +216,7 @@ def _check_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
 
 def _noise_above_statement(fit: Fit, estimate: NoiseEstimate) -> Reason:
     text = f"{_noise_over_statement(fit, estimate, '.1f')}: the model does not explain the measurements;"
-    compared = list(comparisons(fit))
+    compared = comparisons(fit)
     better = any(comparison.better for comparison in compared)
     bounded = estimate.group.part.dimension == "length" and np.isfinite(_spread(fit))
     if not better and not (bounded and compared and not any(comparison.worse for comparison in compared)):

@@ -15,7 +15,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.joint_conventions import wrapped_terms
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.fitting.terms.joint_curves import is_beyond_learned
-from calib.core.judging.claim import Claim
+from calib.core.judging.claim import Claim, known_at_used
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.numerics.halton import halton
 from calib.core.robots.robot import Robot
@@ -59,8 +59,7 @@ def check_joint_motion(fit: Fit) -> Iterator[Reason]:
     if np.all(part[~still] < CORNER):  # `one_corner` reports this
         return
     for j in np.flatnonzero((part < CORNER) & ~still):
-        at_used, slope = _uncertain_at_used(fit), _slope(fit, _poses_over_range(fit, int(j), float(allowed[j])))
-        away = _size(slope, fit.uncertainty.covariance_of(fit.robot))
+        at_used, away = _uncertain_at_used(fit), _uncertain_at(fit, _poses_over_range(fit, int(j), float(allowed[j])))
         if away > _well_known(fit, at_used):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
@@ -77,17 +76,13 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
     known = None if fit.computed else fit.validation_uncertainty
     if known is None:
         return
-    at_used, away = _known_at_used(fit), float(np.median(known.reported_distance))
+    at_used, away = known_at_used(fit), float(np.median(known.reported_distance))
     if away > _well_known(fit, at_used):
         yield Code.VALIDATED_ELSEWHERE.says(
             f"validation poses lie far from the poses used: positions are known to {quantity_text(away, 'mm', '.2g')}"
             f" there, but to {quantity_text(at_used, 'mm', '.2g')} RMS at the poses used. Measure there too, and"
             " validate among the poses used"
         )
-
-
-def _known_at_used(fit: Fit) -> float:
-    return float(np.sqrt(np.mean(fit.identification_uncertainty.reported_distance**2)))
 
 
 def _poses_over_range(fit: Fit, j: int, allowed: float) -> FloatArray:
@@ -103,7 +98,12 @@ def _poses_over_range(fit: Fit, j: int, allowed: float) -> FloatArray:
 def _uncertain_at_used(fit: Fit) -> float:
     data = fit.identification.data
     used = evenly_spread(len(data), _SAMPLED)
-    return _size(_slope(fit, data.joints[used], data.conditions.select(used)), fit.uncertainty.covariance_of(fit.robot))
+    return _uncertain_at(fit, data.joints[used], data.conditions.select(used))
+
+
+def _uncertain_at(fit: Fit, q: FloatArray, context: Context | None = None) -> float:
+    """Root mean square uncertainty of positions at poses q (n, n_actuated) without their common motion [m]."""
+    return _size(_slope(fit, q, context), fit.uncertainty.covariance_of(fit.robot))
 
 
 def _well_known(fit: Fit, at_used: float) -> float:
@@ -148,7 +148,7 @@ def check_curve_ranges(fit: Fit) -> Iterator[Reason]:
         return
     outside = is_beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
     away = np.max(known.reported_distance, axis=1)
-    outside[away <= _well_known(fit, _known_at_used(fit))] = False
+    outside[away <= _well_known(fit, known_at_used(fit))] = False
     poses = np.flatnonzero(np.any(outside, axis=1))
     if len(poses):
         joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
@@ -196,8 +196,7 @@ def positions_not_claimed(fit: Fit) -> Iterator[str]:
     part = fit.identification.main_part
     if part.is_position:
         return
-    slope = _slope(fit, recombined_joints(fit.identification.data.joints, _SAMPLED))
-    known = _size(slope, fit.uncertainty.covariance_of(fit.robot))
+    known = _uncertain_at(fit, recombined_joints(fit.identification.data.joints, _SAMPLED))
     if known > UNMOVED:
         yield (
             f"positions of the tool: the claim is about {part.readings}. With the measured values of the joints in"

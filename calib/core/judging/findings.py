@@ -20,8 +20,8 @@ from calib.core.judging.acceptance_system import System
 from calib.core.judging.effect_kinds import Kind, Pattern, Trait
 from calib.core.judging.effects import effects
 from calib.core.judging.error_budget import ErrorBudget, causes_of, error_budget, joint_causes
-from calib.core.judging.linear_fit import LinearFit
 from calib.core.judging.promise import Promise
+from calib.core.judging.residual_patterns import LinearFit
 from calib.core.judging.row_derivatives import EffectSetting
 from calib.core.numerics.tall import Span
 

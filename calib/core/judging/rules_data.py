@@ -101,18 +101,14 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
 
 
 def too_few_poses(fit: Fit) -> Iterator[Reason]:
-    """Count degrees of freedom; only validation at other poses makes up for few."""
-    rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
-    if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
+    """Count degrees of freedom, for which only validation at other poses makes up, and poses that share errors."""
+    statistics, rows, used = fit.statistics, fit.rows.layout.n_read, fit.statistics.effective_parameters
+    if statistics.freedom < FEW or rows < 2 * used - 1e-6:
         yield Code.TOO_FEW_POSES.says(
             f"too few poses: {rows} measured values for {used:.0f} parameters. Measure several times as many poses",
-            counted=fit.statistics.freedom >= FEW and fit.validation is not None,
+            counted=statistics.freedom >= FEW and fit.validation is not None,
         )
-
-
-def check_shared_errors(fit: Fit) -> Iterator[Reason]:
-    """Count poses whose readings share errors."""
-    statistics, shared = fit.statistics, fit.statistics.shared_scatter
+    shared = statistics.shared_scatter
     if shared is not None and shared.chance < UNLIKELY and statistics.interval_freedom < FEW_SHARED:
         yield Code.TOO_FEW_POSES.says(
             "too few poses: the readings of a pose share errors, so that intervals come from only"

@@ -37,35 +37,30 @@ _NO_VARIANCE = 1e-9  # part of each variance, added so that a singular matrix ca
 _SAMPLED = 200  # poses at which uncertainties are computed
 
 
-def one_corner(fit: Fit) -> Iterator[Reason]:
-    """Compare the motion of each joint with the range that its limits allow (or a turn, without limits)."""
-    robot, reach = fit.nominal, np.ptp(fit.identification.data.joints, axis=0)
-    allowed = _joint_ranges(robot)
-    known = np.isfinite(allowed) & (allowed > 0)
-    part = np.max(reach[known] / allowed[known], initial=0.0)
-    if np.all(known) and 0 < part < CORNER:
-        yield Code.ONE_CORNER.says(
-            f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its range, and"
-            " elsewhere the robot is not calibrated: measure poses all over the space where it will work"
-        )
-
-
 def check_joint_motion(fit: Fit) -> Iterator[Reason]:
-    """Look for joints that moved so little that positions are unknown where they move further."""
+    """Compare the motion of each joint with the range that its limits allow (or a turn, without limits).
+
+    Look for joints that moved so little that positions are unknown where they move further.
+    """
     data, robot = fit.identification.data, fit.nominal
-    allowed = _joint_ranges(robot)
-    part = np.ptp(data.joints, axis=0) / allowed
+    allowed, reach = _joint_ranges(robot), np.ptp(data.joints, axis=0)
+    part = reach / allowed
+    if np.all(np.isfinite(allowed) & (allowed > 0)) and 0 < np.max(part) < CORNER:
+        yield Code.ONE_CORNER.says(
+            f"all poses lie in one corner: no joint moved through more than {100 * np.max(part):.2g} % of its range,"
+            " and elsewhere the robot is not calibrated: measure poses all over the space where it will work"
+        )
     still = np.isin(robot.joint_names, unmoved_joints(robot, data.joints))
-    if np.all(part[~still] < CORNER):  # `one_corner` reports this
+    if np.all(part[~still] < CORNER):
         return
     for j in np.flatnonzero((part < CORNER) & ~still):
         at_used, away = _uncertain_at_used(fit), _uncertain_at(fit, _poses_over_range(fit, int(j), float(allowed[j])))
         if away > _well_known(fit, at_used):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
-            reach = quantity_text(float(np.ptp(data.joints[:, j])), DISPLAY_UNIT[dimension], ".2g")
+            moved = quantity_text(float(reach[j]), DISPLAY_UNIT[dimension], ".2g")
             yield Code.JOINT_MOVED_LITTLE.says(
-                f"{joints_named(name)} moved through only {reach}. Positions are known to"
+                f"{joints_named(name)} moved through only {moved}. Positions are known to"
                 f" {quantity_text(at_used, 'mm', '.2g')} at the poses used, but to {quantity_text(away, 'mm', '.2g')}"
                 " RMS where it moves further. Measure poses that move it through its range"
             )

@@ -92,23 +92,9 @@ class Kind(StrEnum):
         "{joint} is off by {slope} for each {each} of {other} ({size})",
         Trait.FOLLOWS_JOINTS,
     )
-    WAVE = (
-        "wave",
-        Family.WAVES,
-        "it follows {joint} with {detail}, amplitude {height} ({size})",
-        Trait.BY_THE_DOZEN,
-    )
-    APPROACH = (
-        "approach",
-        Family.SHIFTS,
-        "{joint} differs by {play} with the direction of approach ({size})",
-    )
-    ZERO = (
-        "zero",
-        Family.SHIFTS,
-        "{joint} changes in the course of the measurement ({size})",
-        Trait.IN_COURSE,
-    )
+    WAVE = ("wave", Family.WAVES, "it follows {joint} with {detail}, amplitude {height} ({size})", Trait.BY_THE_DOZEN)
+    APPROACH = ("approach", Family.SHIFTS, "{joint} differs by {play} with the direction of approach ({size})")
+    ZERO = ("zero", Family.SHIFTS, "{joint} changes in the course of the measurement ({size})", Trait.IN_COURSE)
 
     def __new__(cls, name: str, family: Family, sentence: str, *traits: Trait) -> Self:
         """Return a kind with its family, sentence and traits."""

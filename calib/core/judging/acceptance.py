@@ -62,15 +62,7 @@ from calib.core.data.in_memory import MeasurementsLike, PosesLike, as_measuremen
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import numbers_by_instrument
-from calib.core.judging.acceptance_system import (
-    LEVEL,
-    POWER,
-    Change,
-    System,
-    candidates,
-    six_digits,
-    without_outliers,
-)
+from calib.core.judging.acceptance_system import LEVEL, POWER, Change, System, candidates, six_digits, without_outliers
 from calib.core.judging.promise import HasPromise, Promise
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.settling import poses_that_settle

@@ -28,14 +28,7 @@ from calib.core.base.memoize import memoize
 from calib.core.base.words import count_noun
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.judging.effect_kinds import Kind
-from calib.core.judging.row_derivatives import (
-    EffectSetting,
-    constants,
-    moved_targets,
-    other_joints,
-    own_scales,
-    scales,
-)
+from calib.core.judging.row_derivatives import EffectSetting, constants, moved_targets, other_joints, own_scales, scales
 from calib.core.robots.terms.periodic import TURN
 
 ORDERS = range(1, 121)

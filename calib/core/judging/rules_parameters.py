@@ -294,7 +294,7 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
     if words:
         yield Code.LARGE_TERMS.says(
             f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"
-            " ratio, unit, mass or load that is wrong in the description or the data",
+            " ratio, unit, mass or load that is wrong in the description or the data"
         )
 
 

@@ -32,14 +32,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import likely_mistake
 from calib.core.fitting.outliers import Outlier
 from calib.core.fitting.unseen_errors import leave_one_out_errors
-from calib.core.judging import (
-    findings,
-    rules_data,
-    rules_model,
-    rules_noise,
-    rules_parameters,
-    rules_reach,
-)
+from calib.core.judging import findings, rules_data, rules_model, rules_noise, rules_parameters, rules_reach
 from calib.core.judging.claim import MORE, Benefit, ErrorElsewhere, claim_of
 from calib.core.judging.effect_kinds import Pattern, Trait
 from calib.core.judging.error_budget import ENOUGH_REPEATS, ErrorBudget

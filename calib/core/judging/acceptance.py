@@ -62,7 +62,7 @@ from calib.core.data.in_memory import MeasurementsLike, PosesLike, as_measuremen
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import numbers_by_instrument
-from calib.core.judging.acceptance_system import LEVEL, POWER, Change, System, candidates, six_digits, without_outliers
+from calib.core.judging.acceptance_system import LEVEL, POWER, Change, System, candidates, without_outliers
 from calib.core.judging.promise import HasPromise, Promise
 from calib.core.judging.repeatability import repeatability
 from calib.core.judging.settling import poses_that_settle
@@ -212,16 +212,16 @@ def visible_changes(
     """Return the smallest change of every candidate that readings at these poses show, sorted by change over scale.
 
     Args:
-        calibrated: As in `verify`.
+        calibrated, same_setup: As in `verify`.
         poses: Poses to be measured, or their joint values (n, n_actuated) [m or rad].
-        same_setup: As in `verify`.
     """
     promise = Promise.from_calibration(calibrated)
     scale = {c.name: c.scale for c in candidates(promise.robot)}
     system = System.planned(promise, poses, same_setup)
     changes = (system.with_common_error() if system.has_unlike_poses else system).changes
     nothing = [replace(change, value=np.nan, z=np.nan, p_value=np.nan) for change in changes]
-    return tuple(sorted(nothing, key=lambda change: six_digits(change.visible / scale[change.name])))
+    # to six digits, so that rounding decides about no order
+    return tuple(sorted(nothing, key=lambda change: float(f"{change.visible / scale[change.name]:.6g}")))
 
 
 @one_blas_thread
@@ -231,11 +231,9 @@ def poses_needed(
     """Return the number of poses, from the first, that show a change with the chance `POWER`; None if all are too few.
 
     Args:
-        calibrated: As in `verify`.
-        poses: Poses to be measured, or their joint values (n, n_actuated) [m or rad].
+        calibrated, poses, same_setup: As in `visible_changes`.
         name: A parameter, or `zero of JOINT`.
         size: The change [m or rad].
-        same_setup: As in `verify`.
 
     Raises:
         DataError: No such candidate, or no size.

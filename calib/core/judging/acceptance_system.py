@@ -74,12 +74,9 @@ class Change:
 
 @dataclass(frozen=True)
 class PossibleChanges:
-    """A change of a robot that new readings can show.
+    """A change of a robot that new readings can show, in units of `scale` [m or rad].
 
-    Attributes:
-        name: The parameter, or `zero of JOINT`.
-        index: Index among the actuated joints, then the free parameters.
-        scale: Unit of the change [m or rad].
+    `index` counts actuated joints, then free parameters; the name is that of the parameter, or `zero of JOINT`.
     """
 
     name: str
@@ -321,25 +318,18 @@ class System:
         return tuple(changes)
 
 
-def six_digits(value: float) -> float:
-    """Return a number to six digits, so that rounding decides about no order."""
-    return float(f"{value:.6g}")
-
-
 def without_outliers(system: System) -> tuple[System, list[int]]:
     """Leave out readings further off than noise explains, one by one, as long as they are few."""
     left_out: list[int] = []
-    most = int(_OUTLIERS * system.rows.layout.n_readings)
-    complete = system
-    while len(left_out) < most:
+    complete, most = system, int(_OUTLIERS * system.rows.layout.n_readings)
+    while True:
         reading, chance = system.worst()
         if chance >= LEVEL:
             return system, left_out
+        if len(left_out) == most:
+            return complete, []  # so many are no outliers
         left_out.append(reading)
         system = complete.without_readings(np.array(left_out))
-    if left_out and system.worst()[1] < LEVEL:
-        return complete, []  # so many are no outliers
-    return system, left_out
 
 
 def _noncentrality(level: float, freedom: float) -> float:

@@ -49,10 +49,7 @@ def validation_outliers(fit: Fit) -> tuple[Outlier, ...]:
 
 @memoize
 def excluded_errors(fit: Fit) -> ErrorSet | None:
-    """Return the errors of the readings that were left out as outliers, by the fit without them.
-
-    None if none were left out, or if the robot cannot be assembled at their visits.
-    """
+    """Return the errors of left-out outliers by the fit without them; None without any, or if a loop stays open."""
     if fit.with_all is None:
         return None
     gone = readings_of_outliers(fit.excluded, fit.with_all.rows.layout)
@@ -69,10 +66,9 @@ def sample_of_poses(fit: Fit) -> Fit:
 
 @memoize
 def _fit_of_sample(fit: Fit) -> Fit:
-    """Return the fit of `MOST_POSES` poses; the fit itself where these alone cannot be fitted.
+    """The fit of `MOST_POSES` poses, one from each of equally long stretches; the fit itself where it cannot be made.
 
-    One pose is drawn from each of as many stretches of the measurement, which are equally long; a regular step could
-    meet the same row of a grid again and again.
+    A regular step could meet the same row of a grid again and again.
     """
     data = fit.identification.data
     ends = np.arange(MOST_POSES + 1) * data.n_poses // MOST_POSES

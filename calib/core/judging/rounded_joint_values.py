@@ -54,12 +54,9 @@ def rounding(fit: Fit) -> tuple[str, float, float] | None:
 def joint_steps(robot: Robot, joints: FloatArray) -> FloatArray:
     """Return the step between all values (n, n_actuated) of each joint, (n_actuated,) [m or rad]; 0 for none."""
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
-    return np.array([_step(values, dimension) for values, dimension in zip(joints.T, dimensions, strict=True)])
-
-
-def _step(values: FloatArray, dimension: Dimension) -> float:
-    """The largest usual step between some values (n,) [m or rad]; 0 for none."""
-    return max(usual_step(values * PER_SI[dimension][unit]) / PER_SI[dimension][unit] for unit in _UNITS[dimension])
+    scales = [[PER_SI[dimension][unit] for unit in _UNITS[dimension]] for dimension in dimensions]
+    columns = zip(joints.T, scales, strict=True)
+    return np.array([max(usual_step(values * scale) / scale for scale in units) for values, units in columns])
 
 
 def usual_step(numbers: FloatArray) -> float:
@@ -77,11 +74,9 @@ def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:
     """Return the part of the noise variance that joints with this scatter (n_actuated,) make, and the chance of T."""
     linear, setting = findings.linear(fit), findings.setting(fit)
     by_joint = setting.joint_columns * scatter
-    visit = setting.visit
-    mean = square = statistic = 0.0
+    mean = square = statistic = twice = 0.0
     through = np.zeros((linear.span.shape[1], linear.span.shape[1]))
-    twice = 0.0
-    for rows in blocks_of_equal_length(visit):  # some visits, (n_visits, n_rows_of_each)
+    for rows in blocks_of_equal_length(setting.visit):  # some visits, (n_visits, n_rows_of_each)
         across = by_joint[rows].transpose(0, 2, 1)
         ap, aa = np.matmul(across, linear.span[rows]), np.matmul(across, across.transpose(0, 2, 1))
         statistic += float(np.sum(np.matmul(across, linear.rows.residuals[rows][:, :, None]) ** 2))

@@ -23,7 +23,6 @@ import numpy as np
 from calib.core.base.errors import (
     CalibrationError,
     ComputationError,
-    InputError,
     NotIdentifiableError,
     UnreachablePoseError,
 )
@@ -60,12 +59,9 @@ def calibrate(
     executor: Executor | int | None = None,
     progress: Progress | None = None,
 ) -> JudgedFit:
-    """Calibrate a robot.
+    """Calibrate a robot; see `calib.fit`.
 
     Args:
-        validation: Measurements to validate the result with, or None.
-        executor: Executor of the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
-            processes on this machine; this process if not given.
         progress: Function that is called after each step with the number of finished and of known steps. Steps are:
             base and targets placed, the minimum found, its uncertainty and errors known; the sizes of terms, with their
             own fit; each further start; each fold; each fit without outliers.
@@ -73,12 +69,11 @@ def calibrate(
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
         DataError: Too few measurements, or measurements that are not finite.
-        InputError: An unknown term, a number of folds that makes no sense, or data that are no measurements.
+        InputError: An unknown term, or a number of folds that makes no sense.
         NotIdentifiableError: The poses do not determine the free parameters.
         NotConvergedError: Base and targets cannot be placed, or the noise cannot be found.
     """
     started = time.perf_counter()
-    _require_measurements(data, validation)
     folds = n_folds(data, settings.folds)
     with Workers(executor, max(settings.starts - 1, folds)) as workers:
         fit = _Calibration(robot, validation, settings, folds, workers, Steps(progress)).run(data)
@@ -188,13 +183,3 @@ class _Calibration:
             self.steps.expect(self.n_steps)
             current = self.fit_readings(data.with_readings(kept))
         return replace(current, excluded=tuple(excluded), with_all=first) if excluded else first
-
-
-def _require_measurements(data: object, validation: object) -> None:
-    """Raise an error that states the expected types, for callers without type checks."""
-    for name, given in (("data", data), ("validation", validation)):
-        if not isinstance(given, Measurements) and not (given is None and name == "validation"):
-            raise InputError(
-                f"{name}: expected Measurements, not {type(given).__name__}; make them with calib.read_measurements"
-                " or calib.as_measurements"
-            )

@@ -125,25 +125,17 @@ class LinearFit:
 
     def visible(self, column: FloatArray) -> float:
         """Return the least effect of a column (n_rows, 1) that the residuals show; infinite if they never do."""
-        size = float(np.linalg.norm(column))
-        if size == 0.0:
-            return float("inf")
-        unit = column / size
-        left = float(np.sum(unit * self.after_fit(unit)))
-        return _SURELY * self.factor / (size * float(np.sqrt(left))) if left > _ROUNDING else float("inf")
+        square = float(np.sum(column**2))
+        left = float(np.sum(column * self.after_fit(column)))
+        return _SURELY * self.factor / float(np.sqrt(left)) if left > _ROUNDING * square else float("inf")
 
 
 @dataclass(frozen=True, eq=False)
 class _EffectTests:
-    """Results of the tests of m effects with k columns each.
+    """Results of the tests of m effects with k columns each: the tested `numbers` of the effects of one name.
 
-    Attributes:
-        effects: Effects of one kind and name.
-        numbers: Their numbers, (m,).
-        ratios: F of the module docstring, (m,).
-        ranks: Columns left after M, (m,).
-        gains: Decrease of |r|^2, (m,).
-        coefficients: c, (m, k).
+    `ratios` are F of the module docstring, `ranks` the columns left after M, `gains` the decrease of |r|^2, (m,) each,
+    and `coefficients` are c, (m, k).
     """
 
     effects: Effects

@@ -40,6 +40,7 @@ def test_a_reason_is_said_where_it_is_true_and_not_without_its_cause(shop, code)
         ("beyond_curves", "worse_on_validation", "no_gain"),  # "no gain beyond the uncertainty" beside "worse"
         ("likely_mistake", "noise_as_large_as_robot", "systematic"),  # "the target sits 595 mm elsewhere on its link"
         ("equal_columns", "equal_columns", "instruments_disagree"),
+        ("poses_equal", "poses_equal", "noise_as_large_as_robot"),
     ],
 )
 def test_no_reason_stands_beside_what_it_contradicts(shop, code, cause, contradicted):
@@ -126,10 +127,6 @@ def test_where_one_reading_makes_such_noise_the_next_step_leaves_it_out(shop):
     assert fit.verdict.grade == "FAIL"
     assert codes_of(fit)[0] == "noise"
     assert next_step(fit).command == "calib fit ROBOT DATA --sigma-mm 0.04 --exclude-outliers --out DIR-2"
-
-
-def test_where_the_robot_did_not_move_its_noise_is_not_judged(shop):
-    assert codes_of(shop.situation(Code.POSES_EQUAL).there) == ["poses_equal"]
 
 
 def test_what_was_tried_is_kept_and_not_offered_again(shop):

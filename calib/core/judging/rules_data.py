@@ -169,20 +169,26 @@ def outliers(fit: Fit) -> Iterator[Reason]:
                 return
 
 
-def check_validation_poses(fit: Fit) -> Iterator[Reason]:
-    """Look for validation poses that the fit has used."""
-    if fit.validation is None:
-        return
-    used, other = fit.identification.data, fit.validation.data
-    label = pose_labels(np.hstack([np.vstack([used.joints, other.joints]), _conditions(used, other)]))
-    same_pose = np.isin(label[len(used) :], label[: len(used)])
-    known = {key for keys in reading_keys(used, np.arange(len(used))) for key in keys}
-    same_reading = [bool(keys & known) for keys in reading_keys(other, np.flatnonzero(same_pose))]
-    if any(same_reading) or np.sum(same_pose) > USED_FOR_BOTH * len(other):
-        overlap = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
-        yield Code.USED_FOR_BOTH.says(
-            f"{sum(same_reading) or np.sum(same_pose)} of {count_noun(len(other), 'validation pose')} {overlap}: they"
-            " prove little; validate with other poses"
+def used_twice(fit: Fit) -> Iterator[Reason]:
+    """Look for validation poses that the fit has used, and readings that are in the data twice, to the last digit."""
+    sets = [fit.identification.data, *([] if fit.validation is None else [fit.validation.data])]
+    used, total = sets[0], sum(map(len, sets))
+    for other in sets[1:]:
+        label = pose_labels(np.hstack([np.vstack([used.joints, other.joints]), _conditions(used, other)]))
+        same_pose = np.isin(label[len(used) :], label[: len(used)])
+        known = {key for keys in reading_keys(used, np.arange(len(used))) for key in keys}
+        n_same = sum(bool(keys & known) for keys in reading_keys(other, np.flatnonzero(same_pose)))
+        if n_same or np.sum(same_pose) > USED_FOR_BOTH * len(other):
+            overlap = "are measurements that the fit has used" if n_same else "were measured at poses of the fit"
+            yield Code.USED_FOR_BOTH.says(
+                f"{n_same or np.sum(same_pose)} of {count_noun(len(other), 'validation pose')} {overlap}: they"
+                " prove little; validate with other poses"
+            )
+    copies = [] if fit.computed else [data.labels[k] for data in sets for k in copied_visits(fit.nominal, data)]
+    if copies and len(copies) >= COPIED * total:
+        yield Code.COPIED.says(
+            f"{len(copies)} of {count_noun(total, 'reading')} are copies of others to the last digit, so intervals are"
+            f" too narrow: {listing(copies)}. Leave the copies out"
         )
 
 
@@ -200,18 +206,6 @@ def doubtful_readings(fit: Fit) -> Iterator[Reason]:
     for texts in doubts.values():
         for text in texts:
             yield Code.DOUBTFUL_READINGS.says(text, grade="FAIL" if alone else None)
-
-
-def check_copies(fit: Fit) -> Iterator[Reason]:
-    """Look for readings that are in the data more than once, to the last digit."""
-    sets = [fit.identification.data, *([] if fit.validation is None else [fit.validation.data])]
-    copies = [] if fit.computed else [data.labels[k] for data in sets for k in copied_visits(fit.nominal, data)]
-    total = sum(map(len, sets))
-    if copies and len(copies) >= COPIED * total:
-        yield Code.COPIED.says(
-            f"{len(copies)} of {count_noun(total, 'reading')} are copies of others to the last digit, so intervals are"
-            f" too narrow: {listing(copies)}. Leave the copies out"
-        )
 
 
 def _conditions(used: Measurements, other: Measurements) -> FloatArray:

@@ -53,12 +53,10 @@ OTHER_MINIMUM = 10.0
 """Another minimum explains the data as well if its cost is larger by at most this."""
 
 
-def check_convergence(fit: Fit) -> Iterator[Reason]:
-    """Report an iteration that did not converge."""
+def check_solution(fit: Fit) -> Iterator[Reason]:
+    """Report an iteration that did not converge, and a robot that cannot be assembled from its home configuration."""
     end, receding = fit.convergence, fit.convergence.receding_parameters
     why, advice = end.message, "check units, joint order and signs, or try --starts"
-    if end.converged:
-        return
     if not end.has_settled_weights:
         why = f"the weights of the robust loss '{fit.loss}' do not settle; too many measurements disagree"
         advice = "leave the outliers out (--exclude-outliers), or fit without this loss"
@@ -68,16 +66,13 @@ def check_convergence(fit: Fit) -> Iterator[Reason]:
         advice = f"measure poses that differ more, or hold what they do not determine (--fix {receding[0]})"
     elif not end.step_left < np.inf or end.step_left > 1.0:
         why = f"parameter {end.parameter} would still move by {end.step_left:.2g} standard deviations"
-    mechanism, passive = fit.robot.mechanism, fit.configurations.passive
-    gaps = np.minimum(passive - mechanism.lower, mechanism.upper - passive)
-    for k in np.flatnonzero(np.any(gaps < _AT_LIMIT, axis=0)):
-        joint = joints_named(mechanism.passive[k])
-        why += f"; passive {joint} is at its limit in the URDF, which may be too narrow"
-    yield Code.NOT_CONVERGED.says(f"not converged: {why}; {advice}")
-
-
-def check_assembly(fit: Fit) -> Iterator[Reason]:
-    """Assemble the calibrated robot from its home configuration."""
+    if not end.converged:
+        mechanism, passive = fit.robot.mechanism, fit.configurations.passive
+        gaps = np.minimum(passive - mechanism.lower, mechanism.upper - passive)
+        for k in np.flatnonzero(np.any(gaps < _AT_LIMIT, axis=0)):
+            joint = joints_named(mechanism.passive[k])
+            why += f"; passive {joint} is at its limit in the URDF, which may be too narrow"
+        yield Code.NOT_CONVERGED.says(f"not converged: {why}; {advice}")
     if not fit.assembles:
         yield Code.NOT_ASSEMBLED.says(
             "with the parameters found, the robot cannot be assembled from its home configuration, so they are wrong;"

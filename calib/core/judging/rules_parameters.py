@@ -92,9 +92,8 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
     elif far:
         words = listing([f"{parameter.name} ({size:.1f} sigma)" for parameter, size in far])
         yield Code.AT_BOUNDS.says(
-            f"parameters are more than {PLAUSIBLE:g} {beyond}: {words};"
-            " check zero positions, units and the targets' links. If such an error is possible, state a larger sigma in"
-            " the description",
+            f"parameters are more than {PLAUSIBLE:g} {beyond}: {words}; check zero positions, units and the targets'"
+            " links. If such an error is possible, state a larger sigma in the description",
             counted=far[0][1] <= DOUBTFUL,
         )
 
@@ -324,18 +323,14 @@ def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
             yield parameter, away - 2.0 * float(std) / parameter.sigma_si
 
 
-def unclear_rank(fit: Fit) -> Iterator[Reason]:
-    """Report free parameters that count as determined only because of the threshold."""
+def hardly_determined(fit: Fit) -> Iterator[Reason]:
+    """Report free parameters that count as determined only because of the threshold, and angles that hardly are."""
     rank = fit.determination.together
     if rank.unclear:
         yield Code.RANK_UNCLEAR.says(
             f"{rank.doubt}: one combination of parameters is hardly determined. Hold one more parameter (`calib check`"
             " names it), or measure other poses"
         )
-
-
-def loose(fit: Fit) -> Iterator[Reason]:
-    """List angles that are hardly determined."""
     free = [fit.nominal.parameters[k] for k in fit.unknowns.index.tolist()]
     loose = [
         f"{p.name} (+-{quantity_text(std, 'deg', '.1f')})"

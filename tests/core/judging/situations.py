@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.core.data.measurements import with_points
 from calib.core.judging.reasons import Code, Reason
-from calib.core.judging.rules_model import check_assembly
+from calib.core.judging.rules_model import check_solution
 from calib.core.robots.terms.terms import parse_terms
 from tests.core.calibrating import test_fit_files as warm
 from tests.core.instruments import test_kind_pixel as pixel
@@ -202,7 +202,7 @@ def _(shop):
     robot = calib.load(write_parallelogram(shop.new()))
     fit = calib.fit(robot, calib.simulate(robot, robot.sample(30, seed=1), sigma=SIGMA, seed=2))
     torn = replace(fit, robot=fit.robot.with_parameters({"c.x": 5.0}))
-    return Situation(torn, fit, "cannot be assembled from its home configuration", rule=check_assembly)
+    return Situation(torn, fit, "cannot be assembled from its home configuration", rule=check_solution)
 
 
 @situation(Code.WORSE_ON_VALIDATION, "FAIL")

@@ -171,12 +171,14 @@ class System:
         columns = np.hstack([jacobian[:, index] @ root, unit_columns(jacobian[:, placed])[0]])
         prior = Prior(np.arange(columns.shape[1]) < root.shape[1])
         by_all = np.hstack([_JOINT_STEP * robot.mechanism.joint_scale * joints, jacobian])
+        error_set = ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations))
+        spread = root * unknowns.scales[index, None]
         system = System(
             promise,
             replace(rows, residuals=residuals, jacobian=columns, prior=prior, deviations=np.zeros(columns.shape[1])),
             by_all[:, [candidate.index for candidate in candidates(robot)]],
-            ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations)),
-            _expected_distances(promise, whole, observed, index, placed, root * unknowns.scales[index, None]),
+            error_set,
+            _expected_distances(promise, whole, error_set, observed, index, placed, spread),
             same_setup,
         )
         if promise.freedom < 1:
@@ -342,6 +344,7 @@ def _noncentrality(level: float, freedom: float) -> float:
 def _expected_distances(
     promise: Promise,
     robot: Robot,
+    errors: ErrorSet,
     observed: Mapping[str, Observed],
     uncertain: IntArray,
     placed: BoolArray,
@@ -356,12 +359,9 @@ def _expected_distances(
     """
     free, slopes, square, by_joints, n = np.flatnonzero(robot.is_free), [], 0.0, 0.0, 0
     scatter = promise.uncertainty.joint_error * robot.mechanism.joint_scale
-    for name, derivatives in observed.items():
-        instrument = robot.instrument(name)
-        for index, part in enumerate(instrument.parts):
-            if not part.is_position:
-                continue
-            rows = [r for r, k in enumerate(instrument.part_of_row) if k == index]
+    for instrument, part, rows in errors.parts():
+        if part.is_position:
+            derivatives = observed[instrument.name]
             n_readings = len(derivatives.residuals)
             n += n_readings
             slopes.append(derivatives.derivative_by(free)[:, rows].reshape(-1, len(free)))

@@ -1,7 +1,7 @@
 """Joint values that were rounded: visible in their digits, and in the scatter of residuals.
 
 Values in steps of s are off by up to s/2, with a standard deviation of s / sqrt(12), if they were rounded; not at all,
-if the robot was commanded to round values. Digits do not distinguish these. Residuals may: rounding scatters the target
+if the robot was commanded to round values. Residuals may distinguish these: rounding scatters the target
 along the motion of the joints, further where the arm is longer. With A_v the effect of rounding on the rows of visit v
 (one column for each joint, each times s / sqrt(12)), Q = diag(A_v A_v^T), and r = M e (e normal noise of variance f^2,
 M the remainder after a fit; see `calib.core.judging.residual_patterns`),

@@ -1,14 +1,9 @@
 """PASS, CHECK or FAIL: whether a fit can be trusted, with reasons in words that say what to do.
 
-FAIL: the numbers must not be used (the robot is not exported as calibrated unless forced).
-CHECK: they can be used by someone who has read the reasons.
-PASS: nothing was found; that is no proof that nothing is wrong.
-
 Each rule tests one thing. Tests with a chance state it: chi-square, gain, comparisons, repeats and left-out blocks
 0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about one fit of thirty (measured:
-docs/verdict.md).
-
-Errors that leave no trace in the measurements are listed beside it (`not_covered`).
+docs/verdict.md, which also says what the grades mean). Errors that leave no trace in the measurements are listed beside
+it (`not_covered`).
 
 Entry points of the group `calib.reasons` add rules of other packages: functions of a fit that yield reasons.
 """

@@ -82,11 +82,9 @@ class Acceptance:
             uncertainty.
         low95, high95: 95 % limits of the ratio, if the robot is as calibrated.
         detectable: Smallest ratio of real to expected errors that is seen with the chance `POWER`.
-        p_value: Chance of so large a ratio, if the robot is as calibrated.
-        p_drift: Chance that the largest change of a single parameter is this large, if the robot is as calibrated.
-        p_rest: Chance of so large residuals after that change.
-        freedom: Degrees of freedom of the ratio.
-        placed: Degrees of freedom of placing base and targets.
+        p_value, p_drift, p_rest: Chances of so large a ratio, of so large a largest change of a single parameter, and
+            of so large residuals after that change, if the robot is as calibrated.
+        freedom, placed: Degrees of freedom of the ratio, and of placing base and targets.
         changes: Every candidate, the largest z first.
         alternative_changes: Significant changes that explain the readings as well as the first one, itself included.
         outliers: Labels of readings that were left out.

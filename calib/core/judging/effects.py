@@ -70,11 +70,7 @@ class Effects:
         return self.by_visit[:, :, number]
 
     def detail(self, numbers: IntArray, gains: FloatArray, row: int, margin: float) -> str:
-        """Return the detail of an effect.
-
-        It is in one row of the tested effects, whose `numbers` rise and which explain `gains` of |r|^2, (n_tested,).
-        Noise could have caused a difference of gains of `margin`.
-        """
+        """Return the detail of a row of the tested effects, `numbers`; noise may make `gains` differ by `margin`."""
         return self.details[numbers[row]]
 
     def columns(self, number: int) -> FloatArray:
@@ -185,10 +181,8 @@ def _instrument_effects(setting: EffectSetting) -> Iterator[Effects]:
 def _target_effects(setting: EffectSetting) -> Iterator[Effects]:
     """Targets that slip, at evenly spread visits, and targets that move with other links."""
     order = np.argsort(setting.course, kind="stable")
-    rank = np.empty(len(order), dtype=np.intp)
-    rank[order] = np.arange(len(order))
     firsts = np.unique(np.linspace(0, len(order), SLIPS + 2)[1:-1].astype(np.intp))
-    late = (rank[:, None] >= firsts).astype(float)[:, None]
+    late = (np.argsort(order)[:, None] >= firsts).astype(float)[:, None]
     slips = [f"from {setting.data.labels[order[first]]} on" for first in firsts]
     for target, (own, *others) in moved_targets(setting).items():
         for joint, moved in zip(other_joints(setting.fit.robot, target), others, strict=True):

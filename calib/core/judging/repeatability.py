@@ -257,27 +257,24 @@ def _missing(
         return [
             "no pose was read more than once: AP, RP, AD, RD are not known; give rows that repeat a pose the same name"
         ]
-    result, cycles = [], min(len(scatter.after) for scatter in several)
-    if len(several) != _FIVE:
-        result.append(f"{len(several)} repeated poses where ISO 9283 has five")
-    if cycles < CYCLES:
-        result.append(f"{cycles} cycles of a pose where ISO 9283 has {CYCLES}")
-    if doubt := doubtful_repeats(errors):
-        result.append(doubt)
-    if not turned:
-        result.append("no orientation was read: no AP and RP of angles")
-    present = {figure.name for figure in figures}
-    if "vAP" not in present:
-        result.append("no vAP: it needs cycles from several directions, and columns approach_<joint> that state these")
-    time = errors.data.context.get("time")
-    if "dAP" not in present:
-        result.append(
-            f"no drift: it needs a column 'time', and {2 * _BLOCK} or more cycles of a pose over {_HOURS:g} h"
-        )
-    elif time is not None and np.ptp(time) < _HOURS * _SECONDS:
-        result.append(f"drift over {np.ptp(time) / _SECONDS:.1f} h where ISO 9283 has {_HOURS:g} h")
-    stated = conditions(errors.data.comments)
-    unstated = [key for key in CONDITIONS if key not in stated]
-    if unstated:
-        result.append(f"conditions not stated: {', '.join(unstated)} (a comment line such as '# load: 5 kg')")
-    return result
+    time, present = errors.data.context.get("time"), {figure.name for figure in figures}
+    cycles, hours = min(len(scatter.after) for scatter in several), 0.0 if time is None else np.ptp(time) / _SECONDS
+    doubt, stated = doubtful_repeats(errors), conditions(errors.data.comments)
+    unstated = ", ".join(key for key in CONDITIONS if key not in stated)
+    lines = (
+        (len(several) != _FIVE, f"{len(several)} repeated poses where ISO 9283 has five"),
+        (cycles < CYCLES, f"{cycles} cycles of a pose where ISO 9283 has {CYCLES}"),
+        (doubt, doubt),
+        (not turned, "no orientation was read: no AP and RP of angles"),
+        (
+            "vAP" not in present,
+            "no vAP: it needs cycles from several directions, and columns approach_<joint> that state these",
+        ),
+        (
+            "dAP" not in present,
+            f"no drift: it needs a column 'time', and {2 * _BLOCK} or more cycles of a pose over {_HOURS:g} h",
+        ),
+        ("dAP" in present and hours < _HOURS, f"drift over {hours:.1f} h where ISO 9283 has {_HOURS:g} h"),
+        (unstated, f"conditions not stated: {unstated} (a comment line such as '# load: 5 kg')"),
+    )
+    return [text for is_missing, text in lines if is_missing]

@@ -174,7 +174,7 @@ def used_twice(fit: Fit) -> Iterator[Reason]:
     sets = [fit.identification.data, *([] if fit.validation is None else [fit.validation.data])]
     used, total = sets[0], sum(map(len, sets))
     for other in sets[1:]:
-        label = pose_labels(np.hstack([np.vstack([used.joints, other.joints]), _conditions(used, other)]))
+        label = pose_labels(np.vstack([_state(used), _state(other)]))
         same_pose = np.isin(label[len(used) :], label[: len(used)])
         known = {key for keys in reading_keys(used, np.arange(len(used))) for key in keys}
         n_same = sum(bool(keys & known) for keys in reading_keys(other, np.flatnonzero(same_pose)))
@@ -208,14 +208,11 @@ def doubtful_readings(fit: Fit) -> Iterator[Reason]:
             yield Code.DOUBTFUL_READINGS.says(text, grade="FAIL" if alone else None)
 
 
-def _conditions(used: Measurements, other: Measurements) -> FloatArray:
-    """Setups and stated conditions of the visits of both, (n, ...), in units of a difference that counts."""
-    both = (used, other)
-    columns = [np.concatenate([np.zeros(len(visits)) if visits.setups is None else visits.setups for visits in both])]
-    for name, size in ANOTHER.items():
-        values = [np.nan_to_num(visits.context.get(name, np.zeros(len(visits)))) for visits in both]
-        columns.append(SAME_JOINTS / size * np.concatenate(values))
-    return np.column_stack(columns)
+def _state(visits: Measurements) -> FloatArray:
+    """Joints, setup and stated conditions of visits, (n, ...), in units of a difference that counts."""
+    nothing = np.zeros(len(visits))
+    stated = [SAME_JOINTS / size * np.nan_to_num(visits.context.get(name, nothing)) for name, size in ANOTHER.items()]
+    return np.column_stack([visits.joints, nothing if visits.setups is None else visits.setups, *stated])
 
 
 def dead_readings(fit: Fit) -> Iterator[Reason]:

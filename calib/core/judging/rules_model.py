@@ -49,6 +49,7 @@ _NOT_THE_ROBOT = (
 _FURTHER_ERRORS = ". There the robot has errors that the poses used do not show. Measure there too"
 _AT_LIMIT = 1e-6  # distance from its limit at which a passive joint stopped a fit [m, rad]
 _MOST_PATTERNS = 3  # named in the sentence
+_LISTED_APART = (Trait.IN_COURSE, Trait.MISREAD, Trait.MISPLACED)  # patterns with one of these
 OTHER_MINIMUM = 10.0
 """Another minimum explains the data as well if its cost is larger by at most this."""
 
@@ -191,9 +192,9 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
             [f"{seen[k]}: set position: unknown, or xyz: [{_xyz(placed.points[k])}]" for k in wrong], "; "
         )
     what = " and ".join(["base: pose: known"] * base + ["position: known"] * targets)
+    stated_rms, placed_rms = (quantity_text(each.rms, "mm", ".4g") for each in (stated, placed))
     return code, (
-        f"{what} does not fit these measurements (RMS {quantity_text(stated.rms, 'mm', '.4g')}; placed by the"
-        f" data: {quantity_text(placed.rms, 'mm', '.4g')}): {places}"
+        f"{what} does not fit these measurements (RMS {stated_rms}; placed by the data: {placed_rms}): {places}"
     )
 
 
@@ -292,13 +293,8 @@ def files_hold_less(fit: Fit) -> Iterator[Reason]:
 def why_no_origins(fit: Fit) -> str:
     """Return why no file of joint origins is written for a fit that did not fail; empty if one is."""
     known = fit.robot.files.get(Holds.ORIGINS)
-    if known is not None:
-        return known.withheld
-    return (
-        "the fit without joint terms, which such a file needs, did not succeed"
-        if lost_by(fit.robot, Holds.ORIGINS)
-        else ""
-    )
+    lost = "the fit without joint terms, which such a file needs, did not succeed"
+    return known.withheld if known is not None else lost if lost_by(fit.robot, Holds.ORIGINS) else ""
 
 
 def systematic(fit: Fit) -> Iterator[Reason]:
@@ -312,8 +308,9 @@ def systematic(fit: Fit) -> Iterator[Reason]:
     patterns = [pattern for pattern in findings.patterns(fit) if pattern.significant]
     left = fit.identification.rms("after")
     grows = max((change.size for change in findings.changes(fit)), default=0.0)
-    for trait in (Trait.IN_COURSE, Trait.MISREAD, Trait.MISPLACED, None):
-        kinds = [pattern for pattern in patterns if _distinctive_trait(pattern) is trait]
+    for trait in (*_LISTED_APART, None):
+        kinds = [pattern for pattern in patterns if trait in (*pattern.kind.traits, None)]
+        patterns = [pattern for pattern in patterns if pattern not in kinds]
         if not kinds:
             continue
         worst = max(kinds, key=lambda pattern: pattern.size)
@@ -337,11 +334,6 @@ def systematic(fit: Fit) -> Iterator[Reason]:
             answer=Answer.CORRECT if advice else None,
             counted=in_claim,
         )
-
-
-def _distinctive_trait(pattern: Pattern) -> Trait | None:
-    special = (Trait.IN_COURSE, Trait.MISREAD, Trait.MISPLACED)
-    return next((trait for trait in special if trait in pattern.kind.traits), None)
 
 
 def _left_of_instrument(fit: Fit, pattern: Pattern) -> float:

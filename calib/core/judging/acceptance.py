@@ -38,6 +38,11 @@ there count as k, the number of parameters that the calibration decided: rho^2 =
 uncertain there as if only k of the N rows used had decided them: N / k times C. If the readings agree then, the verdict
 is about the poses. If a change is significant even then, the robot has drifted.
 
+To settle it. At a pose of the calibration, the model has the same error now as then: so a difference there is a change
+of the robot. Poses to measure again are chosen one by one, evenly spread ones of at most `MOST`: each increases the
+information on the change most (its determinant, as O1 in `calib.core.numerics.observability`), with base and targets
+eliminated, until the change shows with the chance `POWER`. A smaller change than was found takes more poses.
+
 Millimetres. The mean square distance, which people read, is tested too. It sums squares of unequal expected size, so
 its distribution is taken as an F with the same mean and variance. Its chance of a false alarm is 0.1 %.
 
@@ -56,19 +61,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.core.base.errors import DataError, nearest
+from calib.core.base.arrays import FloatArray, IntArray, evenly_spread
+from calib.core.base.errors import CalibrationError, DataError, nearest
 from calib.core.base.threads import one_blas_thread
 from calib.core.data.in_memory import MeasurementsLike, PosesLike, as_measurements, as_poses
+from calib.core.data.pose_groups import pose_labels
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.outliers import numbers_by_instrument
 from calib.core.judging.acceptance_system import LEVEL, POWER, Change, System, candidates, without_outliers
 from calib.core.judging.promise import HasPromise, Promise
 from calib.core.judging.repeatability import repeatability
-from calib.core.judging.settling import poses_that_settle
+from calib.core.numerics.identifiability import unit_columns
 
 TELLING = 3.0
 """Readings are too few for a verdict if they would not show errors this many times as large as expected."""
+MOST = 300
+"""Largest number of poses that are examined to settle a verdict."""
+_COUNTS = (8, 12, 16, 24, 32)  # numbers of poses to measure again
+_NOTHING = 1e-6  # information before any pose is chosen, for columns of length 1
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
 
@@ -193,7 +204,7 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         float(scipy.special.stdtrit(promise.freedom, 0.975)),
         unlike,
         larger,
-        () if settled or not changes else poses_that_settle(promise, changes[0]),
+        () if settled or not changes else _poses_that_settle(promise, changes[0]),
     )
 
 
@@ -267,3 +278,38 @@ def _is_noise(system: System) -> bool:
     if scipy.special.fdtrc(freedom, promise.freedom, more) >= LEVEL:
         return False
     return bool(scipy.special.fdtrc(system.independent, freedom, system.square / system.freedom / more) >= LEVEL)
+
+
+def _poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
+    """Return the names of poses of the calibration that show a found change, best first; none if no poses show it."""
+    if not len(promise.joints):
+        return ()
+    first = np.unique(pose_labels(promise.joints), return_index=True)[1]
+    some = np.sort(first)[evenly_spread(len(first), MOST)]
+    try:
+        order = some[_order(promise, promise.joints[some], change)]
+        for count in _COUNTS:
+            system = System.planned(promise, promise.joints[order[:count]], same_setup=False)
+            shown = {own.name: own.visible for own in system.changes}
+            if shown.get(change.name, np.inf) <= abs(change.value) or count >= len(order):
+                break
+    except CalibrationError:  # poses cannot be simulated, such as those of setups
+        return ()
+    return tuple(promise.names[k] for k in order[:count])
+
+
+def _order(promise: Promise, joints: FloatArray, change: Change) -> IntArray:
+    system = System.planned(promise, joints, same_setup=False)
+    number = [known.name for known in candidates(promise.robot)].index(change.name)
+    places, layout = system.rows.jacobian[:, ~system.rows.prior.has], system.rows.layout
+    columns = unit_columns(np.column_stack([places, system.candidate_columns[:, number]]))[0]
+    visit = layout.visit[layout.reading]
+    rows = [columns[visit == k] for k in range(len(joints))]
+    information, chosen = _NOTHING * np.eye(columns.shape[1]), list[int]()
+    for _ in range(min(_COUNTS[-1], len(rows))):
+        inverse = np.linalg.inv(information)
+        gain = [np.linalg.slogdet(np.eye(len(own)) + own @ inverse @ own.T)[1] for own in rows]
+        gain = [-np.inf if k in chosen else round(float(size), 9) for k, size in enumerate(gain)]
+        chosen.append(int(np.argmax(gain)))
+        information = information + rows[chosen[-1]].T @ rows[chosen[-1]]
+    return np.array(chosen, dtype=np.intp)

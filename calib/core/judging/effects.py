@@ -70,7 +70,10 @@ class Effects:
         return self.by_visit[:, :, number]
 
     def detail(self, numbers: IntArray, gains: FloatArray, row: int, margin: float) -> str:
-        """Return the detail of a row of the tested effects, `numbers`; noise may make `gains` differ by `margin`."""
+        """Return the detail of a row of the tested effects.
+
+        Their `numbers` and `gains` are (n_tested,); noise may make gains differ by `margin`.
+        """
         return self.details[numbers[row]]
 
     def columns(self, number: int) -> FloatArray:

@@ -140,20 +140,17 @@ def claim_broken(fit: Fit, claim: Claim, *, no_correction: bool) -> Iterator[Rea
     misplaced, claimed = _misplaced(fit), claim.at_measured_poses
     anew = "" if moved_frame(fit) is None or misplaced else ", their frame placed anew,"
     for accuracy in (seen.accuracy for seen in claim.unused if not seen.holds):
-        times, rms, claimed_rms = (
-            accuracy.rms / claimed.rms,
-            accuracy.in_unit(accuracy.rms),
-            claimed.in_unit(claimed.rms),
-        )
+        rms, promised = accuracy.in_unit(accuracy.rms), claimed.in_unit(claimed.rms)
+        times = f"{accuracy.rms / claimed.rms:.1f} times"
         if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not no_correction:
             yield _worse_reason(
                 fit,
                 f"at {accuracy.pose_words}{anew}: {rms} RMS after, {accuracy.in_unit(accuracy.before)} before, and"
-                f" {times:.1f} times what it claims ({claimed_rms})",
+                f" {times} what it claims ({promised})",
             )
         else:
             yield Code.VALIDATION.says(
-                f"{accuracy.pose_words}{anew} are {times:.1f} times as far off as claimed ({rms} RMS; claimed: {claimed_rms})"
+                f"{accuracy.pose_words}{anew} are {times} as far off as claimed ({rms} RMS; claimed: {promised})"
                 + ("" if misplaced else f"{_where(fit, accuracy)}{_FURTHER_ERRORS}")
             )
 

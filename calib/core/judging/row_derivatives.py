@@ -17,7 +17,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.memoize import memoize
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
-from calib.core.instruments.kind import Comparison, FrameInstrument, Instrument, Part, Readings, View
+from calib.core.instruments.kind import Comparison, FrameInstrument, Part, Readings, View
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import relative_poses
 from calib.core.robots.robot import Robot
@@ -75,6 +75,12 @@ class EffectSetting:
     def course(self) -> FloatArray:
         """Time of each visit, (n_visits,): its time [s], where all have it, else the order of the rows."""
         return np.asarray(self.data.context["time"] if has_time(self.data) else self.data.places, dtype=float)
+
+    @cached_property
+    def position_rows(self) -> dict[str, IntArray]:
+        """Rows of the position, (3,), in a reading of each instrument that measures one in space."""
+        parts = self.fit.identification.parts()
+        return {instrument.name: rows for instrument, part, rows in parts if part.is_position and len(rows) == 3}
 
     @cached_property
     def first(self) -> int:
@@ -143,10 +149,9 @@ def _change_by_angles(setting: EffectSetting, name: str, rows: BoolArray) -> Flo
 def _parts(setting: EffectSetting) -> Iterator[tuple[str, Part, int, BoolArray]]:
     """Yield instrument, part, its group, and which rows of a reading are its own, (n_rows,)."""
     groups = [(group.name, group.part) for group in setting.fit.whitening.groups]
-    for name in setting.data.readings:
-        instrument = setting.fit.robot.instrument(name)
-        for number, part in enumerate(instrument.parts):
-            yield name, part, groups.index((instrument.group, part)), np.equal(instrument.part_of_row, number)
+    for instrument, part, rows in setting.fit.identification.parts():
+        group, own = groups.index((instrument.group, part)), np.isin(np.arange(instrument.n_rows), rows)
+        yield instrument.name, part, group, own
 
 
 def _whitened_alone(setting: EffectSetting, name: str, change: FloatArray) -> FloatArray:
@@ -179,10 +184,6 @@ def gains(setting: EffectSetting) -> FloatArray:
     return setting.joint_columns * (setting.data.joints - np.mean(setting.data.joints, axis=0))[setting.visit]
 
 
-def _position_rows(instrument: Instrument) -> list[int]:
-    return [k for k, part in enumerate(instrument.part_of_row) if instrument.parts[part].is_position]
-
-
 @memoize
 def _frame_derivative(setting: EffectSetting) -> dict[str, FloatArray]:
     """Derivative of readings by shifts along x, y, z, turns about them, and sizes of lengths, (n, n_rows, 10) each.
@@ -194,10 +195,10 @@ def _frame_derivative(setting: EffectSetting) -> dict[str, FloatArray]:
     others = {k: own for k, own in setting.data.readings.items() if k not in points or robot.instrument(k).n_rows > 3}
     lengths = length_derivative(robot, fit.configurations, others) if others else {}  # those of points are replaced
     for name, columns in result.items():
-        rows = _position_rows(robot.instrument(name))
         columns[:, :, 6] = lengths.get(name, 0.0)
-        if len(rows) == 3:
-            columns[:, rows, :3] = np.eye(3)
+    for name, rows in setting.position_rows.items():
+        columns = result[name]
+        columns[:, rows, :3] = np.eye(3)
         if name in points:
             columns[:, rows, 3:6] = np.cross(points[name][:, None], np.eye(3)).swapaxes(1, 2)
             columns[:, rows, 6] = points[name]
@@ -235,9 +236,9 @@ def length_derivative(
 def _points(setting: EffectSetting) -> dict[str, FloatArray]:
     """Points that were read, from the middle of all, (n, 3) [m] of each instrument that measures positions."""
     result = {}
-    for name, readings in setting.data.readings.items():
-        points = setting.fit.robot.instrument(name).points(readings.values)
-        if points is not None and len(points) and len(_position_rows(setting.fit.robot.instrument(name))) == 3:
+    for name in setting.position_rows:
+        points = setting.fit.robot.instrument(name).points(setting.data.readings[name].values)
+        if points is not None and len(points):
             result[name] = points
     if not result:
         return {}
@@ -245,12 +246,11 @@ def _points(setting: EffectSetting) -> dict[str, FloatArray]:
     return {name: np.nan_to_num(points - middle) for name, points in result.items()}
 
 
-def seen_targets(setting: EffectSetting) -> Iterator[tuple[str, str, list[int]]]:
-    """Yield each instrument that measures the position of a target, its target and the rows of the position."""
-    for name in setting.data.readings:
+def seen_targets(setting: EffectSetting) -> Iterator[tuple[str, str, IntArray]]:
+    """Yield each instrument that measures the position of a target, its target and the rows of the position, (3,)."""
+    for name, rows in setting.position_rows.items():
         instrument = setting.fit.robot.instrument(name)
-        rows = _position_rows(instrument)
-        if len(rows) == 3 and isinstance(instrument, FrameInstrument):
+        if isinstance(instrument, FrameInstrument):
             yield name, instrument.target, rows
 
 

@@ -11,8 +11,6 @@ from typing import Self
 from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, millimetres, quantity_text
 from calib.core.base.words import joints_named
 
-PARTS_PER_MILLION = 1e6
-
 
 class Trait(Enum):
     """A property that some kinds of effects have."""
@@ -141,7 +139,7 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
         other=joints_named(pattern.detail),
         shift=millimetres(amount),
         constant="a constant" if isnan(amount) else quantity_text(amount, ERROR_UNIT[pattern.dimension], "+.3g"),
-        ppm=PARTS_PER_MILLION * amount,
+        ppm=1e6 * amount,
         height=quantity_text(abs(amount), DISPLAY_UNIT[joint], ".2g"),
         play=quantity_text(2.0 * abs(amount), DISPLAY_UNIT[joint], ".2g"),
         slope=quantity_text(amount, ERROR_UNIT[joint], "+.2g"),

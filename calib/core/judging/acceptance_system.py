@@ -352,10 +352,8 @@ def _expected_distances(
 ) -> ExpectedDistances:
     """Return the expectation of the distances between measured and predicted positions.
 
-    Args:
-        uncertain: Numbers of the uncertain parameters among the free ones, (n,).
-        placed: Mask of the free parameters that are placed anew, (n_free,).
-        root: A root of the covariance of the uncertain ones, (n, k) [m or rad].
+    Of the free parameters, some are `uncertain` (n,), with `root` of their covariance (n, k) [m or rad], and others are
+    `placed` anew, (n_free,).
     """
     free, slopes, square, by_joints, n = np.flatnonzero(robot.is_free), [], 0.0, 0.0, 0
     scatter = promise.uncertainty.joint_error * robot.mechanism.joint_scale

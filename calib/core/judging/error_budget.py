@@ -179,8 +179,7 @@ def _integrate(
         moved -= by_places @ (by_places.T @ moved)
         moved[:, places] += absorbed
         removed[of_counted] -= weight * residuals[of_counted, None] * moved
-        for k, column in enumerate((total - absorbed, absorbed, *moved.T)):
-            pulling[of_counted, k] += weight / 2.0 * column
+        pulling[of_counted] += weight / 2.0 * np.column_stack([total - absorbed, absorbed, moved])
     pulled = _linear_model(after, errors, unknowns, layout)[0][of_counted].T @ pulling[of_counted]
     gradient = members * pulled[:, 0] + pulled[:, 2:].T
     gradient[places] += pulled[:, 1]

@@ -18,7 +18,7 @@ from calib.core.judging import findings
 from calib.core.judging.better_or_worse import HARM, comparisons
 from calib.core.judging.claim import Benefit, Claim, is_elsewhere, unlike_measured
 from calib.core.judging.effect_kinds import Pattern, Trait, describe
-from calib.core.judging.reasons import Answer, Code, Reason
+from calib.core.judging.reasons import Answer, Code, Grade, Reason
 from calib.core.judging.rules_noise import LEFT_OUT, impossible, measured_space, noise_in_words
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.placement import Placement
@@ -166,8 +166,8 @@ def _where(fit: Fit, accuracy: Accuracy) -> str:
     return f". {np.sum(unlike)} of them lie farther from the poses used than these lie from each other"
 
 
-def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
-    """Return the correction of a nominal robot that fits only with its base or its targets elsewhere than stated."""
+def places_elsewhere(fit: Fit, grade: Grade) -> Iterator[Reason]:
+    """Report a nominal robot that fits only with its base or its targets elsewhere than stated."""
     robot, data = fit.nominal, fit.identification.data
     frame_known = robot.description.base.pose == "known"
     targets_known = any(section.position == "known" for section in robot.description.targets.values())
@@ -181,9 +181,9 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
                 if placed.rms <= min(ELSEWHERE * stated.rms, NEAR * spread):
                     break
         else:
-            return None
+            return
     except DataError:  # no points were measured
-        return None
+        return
     code = Code.BASE_ELSEWHERE if base else Code.TARGET_ELSEWHERE
     places = _base_in_words(robot, placed) if base else ""
     if targets:
@@ -194,8 +194,9 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
         )
     what = " and ".join(["base: pose: known"] * base + ["position: known"] * targets)
     stated_rms, placed_rms = (quantity_text(each.rms, "mm", ".4g") for each in (stated, placed))
-    return code, (
-        f"{what} does not fit these measurements (RMS {stated_rms}; placed by the data: {placed_rms}): {places}"
+    yield code.says(
+        f"{what} does not fit these measurements (RMS {stated_rms}; placed by the data: {placed_rms}): {places}",
+        grade=grade,
     )
 
 

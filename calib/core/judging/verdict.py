@@ -106,10 +106,10 @@ def judge(fit: Fit) -> Verdict:
     reasons = [*(reason for rule in _RULES for reason in rule(fit)), *_reasons_of_others(fit)]
     codes, claim = {reason.code for reason in reasons}, claim_of(fit)
     no_correction = Code.NOTHING_TO_CORRECT in codes
-    if claim is not None and Code.WORSE_ON_VALIDATION not in codes:
-        reasons = [*rules_model.claim_broken(fit, claim, no_correction=no_correction), *reasons]
     if claim is not None:
-        reasons += rules_reach.check_tolerance(fit, claim)
+        worse = Code.WORSE_ON_VALIDATION in codes
+        broken = () if worse else rules_model.claim_broken(fit, claim, no_correction=no_correction)
+        reasons = [*broken, *reasons, *rules_reach.check_tolerance(fit, claim)]
     codes_so_far = {reason.code for reason in reasons}
     superseded = {less for more, less in _SUPERSEDED if more in codes_so_far}
     reasons = [reason for reason in reasons if reason.code not in superseded]
@@ -117,12 +117,11 @@ def judge(fit: Fit) -> Verdict:
     gross = nothing_fits or rules_noise.is_noise_too_large(fit)
     scaled = any(reason.code == Code.JOINT_SCALED for reason in reasons)
     mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma, gross=False) if scaled else ""
-    elsewhere = rules_model.places_elsewhere(fit) if not mistake and (gross or codes & _MOVED) else None
-    if elsewhere is not None:
-        code, text = elsewhere
-        reasons.insert(0, code.says(text, grade="FAIL" if nothing_fits else "CHECK"))
-    elif gross and not mistake:
-        mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma)
+    if not mistake and (gross or codes & _MOVED):
+        elsewhere = list(rules_model.places_elsewhere(fit, "FAIL" if nothing_fits else "CHECK"))
+        reasons = [*elsewhere, *reasons]
+        if gross and not elsewhere:
+            mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma)
     if mistake:
         text = f"{mistake}; correct the data, or the description where that is wrong"
         reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]

@@ -118,7 +118,7 @@ def compensate_program(
             remarks += _remark_on_configuration(cell, joints, target, q[k], command)
     for n, k in enumerate(map(int, rows)):
         reasons[k] = compensation.reasons[n]
-    lever = max((cell.lever(each.tool) for each in targets if each.rotation is not None), default=0.0)
+    lever = max((cell.lever(each.tool.pose) for each in targets if each.rotation is not None), default=0.0)
     return CompensatedProgram(
         program,
         compensation,

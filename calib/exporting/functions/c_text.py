@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.robots.terms.term import REFERENCE_TEMPERATURE
-from calib.exporting.functions.facts import MEANING, NEUTRAL, SOURCES, RobotFacts, header_lines, template
+from calib.exporting.functions.facts import SOURCES, RobotFacts, header_lines, template
 from calib.exporting.functions.trees import FunctionTree
 
 _FUNCTIONS = """\
@@ -48,7 +48,7 @@ def _comment(facts: RobotFacts, lines: Sequence[str]) -> str:
     text += ["", *_FUNCTIONS.splitlines()]
     if facts.conditions:
         text += ["", "Joint errors depend on these members of the conditions; where NULL is given, they are neutral:"]
-        text += [f"    {name}: {MEANING[name]}; neutral: {NEUTRAL[name]:g}" for name in facts.conditions]
+        text += [f"    {name}: {meaning}; neutral: {value:g}" for name, (value, meaning) in facts.conditions.items()]
     else:
         text += ["", "This robot's joint errors depend on no conditions; give NULL."]
     body = "\n".join(f" * {line}".rstrip() for line in "\n".join(text).replace("*/", "* /").splitlines())
@@ -78,7 +78,7 @@ def _sizes(facts: RobotFacts) -> str:
 
 def _tables(facts: RobotFacts) -> str:
     scale = facts.tree.scale[: len(facts.joints)]
-    neutral = [[0.0], *(NEUTRAL[name] for name in ("time", "temperature", "load"))]
+    neutral = [[0.0], 0.0, REFERENCE_TEMPERATURE, 0.0]  # approach, time, temperature, load
     text = [
         _array("double @_lower[]", facts.lower),
         _array("double @_upper[]", facts.upper),
@@ -109,10 +109,7 @@ def _errors(facts: RobotFacts) -> list[str]:
         (wave.driven, wave.place, len(wave.sine), wave.base, f"@_sine_{k}", f"@_cosine_{k}")
         for k, wave in enumerate(facts.waves)
     ]
-    shares = [
-        (share.driven, f"@_{SOURCES[share.source].upper()}", share.place, share.knee, share.rate)
-        for share in facts.shares
-    ]
+    shares = [(share.driven, f"@_{SOURCES[share.source].upper()}", *share[2:]) for share in facts.shares]
     text.append(_structs("@_share @_shares[]", shares or [(0, "@_ONE", 0, 0.0, 0.0)]))
     text.append(_structs("@_wave @_waves[]", waves or [(0, 0, 0, 0.0, "NULL", "NULL")]))
     return text
@@ -120,10 +117,7 @@ def _errors(facts: RobotFacts) -> list[str]:
 
 def _tree(name: str, tree: FunctionTree) -> str:
     """A tree, after the tables to which it points."""
-    joints = [
-        (joint.before, joint.slides, joint.coordinate, joint.factor, joint.offset, _columns(joint.placement))
-        for joint in tree.joints
-    ]
+    joints = [joint._replace(placement=_columns(joint.placement)) for joint in tree.joints]
     frames = [(frame.after, f"{name}_moved_{k}", _columns(frame.placement)) for k, frame in enumerate(tree.frames)]
     rows = [(a, b, row) for a, b, rows in tree.closures for row in rows]
     places = [place for block in tree.blocks for part in block for place in part]

@@ -110,18 +110,12 @@ def closed_model(robot: Robot, *, free_slide: bool = False) -> ClosedModel:
         gaps = ()
     require_small(robot, gaps)
     poses = link_poses(urdf, home)
-    names = [loop.name for loop in robot.mechanism.loops]
-    ties = tuple(
-        Tie(
-            loop.name if names.count(loop.name) == 1 else f"{loop.name}_{index}",
-            a,
-            b,
-            loop.full_pose,
-            poses[b].actInv(poses[a]),
-        )
-        for index, (loop, (a, b)) in enumerate(zip(robot.mechanism.loops, ends, strict=True))
-    )
-    return ClosedModel(urdf, home, robot.joint_names, motor_inertia(robot, urdf), ties, gaps, _markers(robot), robot)
+    names, ties = [loop.name for loop in robot.mechanism.loops], []
+    for index, (loop, (a, b)) in enumerate(zip(robot.mechanism.loops, ends, strict=True)):
+        name = loop.name if names.count(loop.name) == 1 else f"{loop.name}_{index}"
+        ties.append(Tie(name, a, b, loop.full_pose, poses[b].actInv(poses[a])))
+    inertia = motor_inertia(robot, urdf)
+    return ClosedModel(urdf, home, robot.joint_names, inertia, tuple(ties), gaps, _markers(robot), robot)
 
 
 def home_values(robot: Robot) -> dict[str, float]:
@@ -182,9 +176,8 @@ def link_of(urdf: UrdfText, frame: str) -> str:
 def _markers(robot: Robot) -> tuple[Marker, ...]:
     mechanism, description = robot.mechanism, robot.description
     places = [("measurement_frame", description.base.frame, mechanism.targets[0].a)]
-    places += [
-        (f"target_{target.name}", description.targets[target.name].frame, target.b) for target in mechanism.targets
-    ]
+    for target in mechanism.targets:
+        places.append((f"target_{target.name}", description.targets[target.name].frame, target.b))
     return tuple(
         Marker(name, link_of(robot.urdf, frame), mechanism.model.jointPlacements[index].copy())
         for name, frame, index in places

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -86,9 +87,8 @@ class _FanucPosition(Data):
             raise self._error("has no CONFIG such as 'N U T, 0, 0, 0'; save it again")
         if any(int(turn) for turn in match.groups()[3:]):
             raise LeftOutError("its configuration counts turns; only 0, 0, 0 is read")
-        flags = {"flipped": match[1] == "F", "elbow": match[2] == "D", "behind": match[3] == "B"}
-        ranges = dict.fromkeys(_TURNING, (-np.pi, np.pi))
-        configuration = Configuration(f"CONFIG : {match[0]}", ranges, **flags)
+        sides = (match[3] == "B", match[2] == "D", match[1] == "F", None)
+        configuration = Configuration(f"CONFIG : {match[0]}", dict.fromkeys(_TURNING, (-np.pi, np.pi)), sides)
         return ProgramTarget(line, path, self.name, cells, "xyz", configuration=configuration)
 
     def _error(self, what: str) -> DataError:
@@ -271,12 +271,8 @@ class FanucReader(Reader):
 
     def _targets(self, places: list[Span], options: Span, state: State | None) -> None:
         changed = next((k for k in self.code.names(*options) if self.code.word(k) in _CHANGED), None)
-        self.go(
-            places,
-            state,
-            lambda span: self._position(span, options, changed),
-            lambda position, state: self._target(position, state, changed),
-        )
+        find = partial(self._position, options=options, changed=changed)
+        self.go(places, state, find, partial(self._target, changed=changed))
 
     def _position(self, span: Span, options: Span, changed: int | None) -> _FanucPosition:
         name = self._place(span)

@@ -436,6 +436,6 @@ def _configuration(numbers: Mapping[str, float]) -> Configuration | None:
     if "T" in numbers:
         turns = int(numbers["T"])
         ranges = {k: (-np.inf, 0.0) if turns >> k & 1 else (0.0, np.inf) for k in range(6)}
-    status = int(numbers["S"]) if "S" in numbers else None
-    behind, elbow_bent = (None, None) if status is None else (bool(status & 1), bool(status & 2))
-    return Configuration(text, ranges, behind=behind, elbow_bent=elbow_bent)
+    if "S" not in numbers:
+        return Configuration(text, ranges)
+    return Configuration(text, ranges, (bool(int(numbers["S"]) & 1), None, None, bool(int(numbers["S"]) & 2)))

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -332,12 +333,8 @@ class RapidReader(Reader):
         targets = list(spans[: 2 if _TWO_TARGETS.match(word) else 1])
         if word.startswith("SEARCH"):
             targets = [span for span in spans[:4] if self.code.text(*span) in self.declared][-1:] or targets
-        self.go(
-            targets,
-            state,
-            lambda span: self._data(word, span),
-            lambda data, state: self._target(word, data, spans, options, state),
-        )
+        find = partial(self._data, word)
+        self.go(targets, state, find, lambda data, state: self._target(word, data, spans, options, state))
 
     def _data(self, word: str, span: Span) -> Data:
         name = self.code.text(*span)
@@ -385,5 +382,6 @@ class RapidReader(Reader):
         """cf1, cf4, cf6 are quarter turns of axes 1, 4, 6; bit 4 of cfx is the side of axis 1, bit 2 of the arm."""
         quarters = [round(value) for value in self._values(span, 4, "a configuration")]
         ranges = {joint: (q * _QUARTER, (q + 1) * _QUARTER) for joint, q in zip((0, 3, 5), quarters[:3], strict=True)}
-        behind, elbow = bool(quarters[3] & 4), bool(quarters[3] & 2)
-        return Configuration(self.code.excerpt(*span), ranges, behind, elbow)
+        return Configuration(
+            self.code.excerpt(*span), ranges, (bool(quarters[3] & 4), bool(quarters[3] & 2), None, None)
+        )

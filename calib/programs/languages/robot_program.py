@@ -23,6 +23,8 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.programs.languages.tokens import Number, ProgramSource
 
+FourSides = tuple[bool | None, bool | None, bool | None, bool | None]
+NO_SIDES: FourSides = (None, None, None, None)
 Place = tuple[int, int]
 """Where numbers stand: index of the file, and index of their first word."""
 _UNIT_LENGTH = 1e-3  # allowed deviation of a quaternion from unit length
@@ -108,18 +110,14 @@ class Configuration:
     Attributes:
         text: As written.
         ranges: Interval of each stated joint, by number from 0 [rad].
-        behind: Whether the wrist is on another side of axis 1 than in the reference pose; None: not stated.
-        elbow: The same for the wrist and the line through axes 2 and 3.
-        flipped: The same for the sign of joint 5.
-        elbow_bent: Whether joint 3 is beyond the pose in which axes 2 and 3 and the wrist are in line.
+        sides: Whether the wrist is on another side of axis 1 than in the reference pose; the same for the wrist and the
+            line through axes 2 and 3; the same for the sign of joint 5; whether joint 3 is beyond the pose in which
+            axes 2 and 3 and the wrist are in line. None: not stated.
     """
 
     text: str
     ranges: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    behind: bool | None = None
-    elbow: bool | None = None
-    flipped: bool | None = None
-    elbow_bent: bool | None = None
+    sides: FourSides = NO_SIDES
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
+from calib.core.base.sections import ANGLE_COMPONENTS
 from calib.core.numerics import linalg
 from calib.core.results.urdf import with_inserted
 from calib.core.robots.closure import residual
@@ -193,11 +194,11 @@ def _with_free_joints(
     for index, (a, b) in enumerate(ends):
         relative = poses[a].actInv(poses[b])
         parent = a
-        for direction, slides in free_joints(robot, index):
-            name = f"{a}_to_{b}_free_{direction}"
-            moved = relative.translation if slides else pin.log3(relative.rotation)
+        for direction in free_joints(robot, index):
+            name, turns = f"{a}_to_{b}_free_{direction}", direction in ANGLE_COMPONENTS
+            moved = pin.log3(relative.rotation) if turns else relative.translation
             new_home[name] = float(moved["xyz".index(direction[-1])])
-            parts.append(_free_joint(name, parent, direction[-1], slides))
+            parts.append(_free_joint(name, parent, direction[-1], turns))
             parent = f"{name}_link"
         new_ends.append((parent, b))
     if not parts:
@@ -206,9 +207,9 @@ def _with_free_joints(
     return parse_urdf(with_inserted(urdf, text, at=urdf.end), urdf.path), new_ends, new_home
 
 
-def _free_joint(name: str, parent: str, axis: str, slides: bool) -> str:
-    kind = "prismatic" if slides else "continuous"
-    limit = f'lower="-{_SLIDE_LIMIT}" upper="{_SLIDE_LIMIT}" ' if slides else ""
+def _free_joint(name: str, parent: str, axis: str, turns: bool) -> str:
+    kind = "continuous" if turns else "prismatic"
+    limit = "" if turns else f'lower="-{_SLIDE_LIMIT}" upper="{_SLIDE_LIMIT}" '
     vector = " ".join("1" if axis == other else "0" for other in "xyz")
     child = quote_attribute(f"{name}_link")
     moments = " ".join(f'i{a}{b}="{_FREE_INERTIA if a == b else 0}"' for a, b in ("xx", "xy", "xz", "yy", "yz", "zz"))

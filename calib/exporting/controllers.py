@@ -13,7 +13,6 @@ from functools import partial
 
 import numpy as np
 import pinocchio as pin
-import yaml
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
@@ -36,7 +35,7 @@ from calib.core.robots.urdf.writing import number_attribute
 from calib.core.rows.registration import register
 from calib.exporting.dh_tables import dh_table, format_dh, table_poses
 from calib.exporting.serial_chain import SerialChain, error_left, error_text, judging_poses, rms_text, serial_chain
-from calib.exporting.toolbox import ExactDumper
+from calib.exporting.toolbox import yaml_with_comments
 from calib.shared.denavit_hartenberg import Convention, DhRow, Kind
 from calib.shared.ur_calibration import JOINTS, KEYS, LINKS
 
@@ -132,8 +131,7 @@ def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> FormatFile:
     content: dict[str, object] = {
         name: dict(zip(KEYS, _xyz_rpy(origin), strict=True)) for name, origin in zip(LINKS, origins, strict=True)
     }
-    text = yaml.dump({"kinematics": {**content, "hash": "measured_by_calib"}}, Dumper=ExactDumper, sort_keys=False)
-    return FormatFile(("".join(f"# {line}\n" for line in lines) + text).encode(), statement)
+    return FormatFile(yaml_with_comments(lines, {"kinematics": {**content, "hash": "measured_by_calib"}}), statement)
 
 
 def _xyz_rpy(origin: pin.SE3) -> list[float]:

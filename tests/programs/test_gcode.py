@@ -15,6 +15,7 @@ from calib.programs.commands.compensate import command
 from calib.programs.languages.gcode import read_gcode
 from calib.programs.languages.straight_moves import StraightMoves, compensate_moves
 from calib.starting.command import command as init
+from tests.programs.gcode_firmwares import Cnc
 from tests.programs.test_correction_grid import gantry
 from tests.project import EXAMPLES
 
@@ -43,19 +44,9 @@ ENDS = [(0, 0, 20), (-90, -60, 5), (95, 70, 5), (95, -50, 8), (6.1, -50, 8), (-9
 
 
 def told_points(text, start):
-    """Ends of the motions of a written program, by another reader than the engine's, (n, 3) [mm], from `start` on."""
-    at, relative, unit, points = np.array(start, dtype=float), False, 1.0, [np.array(start, dtype=float)]
-    for line in text.splitlines():
-        line = re.sub(r"\(.*?\)|;.*", "", line)
-        for word in line.split():
-            relative = {"G90": False, "G91": True}.get(word, relative)
-            unit = {"G20": 25.4, "G21": 1.0}.get(word, unit)
-        axes = {word[0]: float(word[1:]) * unit for word in line.split() if re.fullmatch(r"[XYZ]-?[\d.]+", word)}
-        if axes and "M" not in line:
-            given = np.array([axes[axis] for axis in "XYZ"])  # all three in every motion that was compensated
-            at = at + given if relative else given
-            points.append(at)
-    return np.array(points)
+    """Ends of the motions of a written program, as a milling machine runs it, (n, 3) [mm], from `start` on."""
+    steps = Cnc(np.array(start, dtype=float), {}).run(text).steps
+    return np.array([start, *(step.end for step in steps if step.commanded)])
 
 
 def off_the_path(points, corners):

@@ -160,7 +160,7 @@ def facts_of(robot: Robot) -> RobotFacts:
         shares=shares,
         waves=waves,
         gravity=_gravity(robot, commands) if Source.TORQUE in sources else None,
-        conditions={name: tuple(rest) for name, (source, *rest) in CONDITIONS.items() if source in sources},
+        conditions={name: (value, text) for name, (source, value, text) in CONDITIONS.items() if source in sources},
         lower=lower,
         upper=upper,
         home=np.clip(robot.home, lower, upper),

@@ -67,7 +67,10 @@ def rows_of(
     states: Mapping[str, Sequence[object]],
     errors: Mapping[tuple[str, str], FloatArray],
 ) -> list[dict[str, object]]:
-    """Return an entry of --json for each row: its states, joints where it is `ok` (else null), and errors."""
+    """Return an entry of --json for each row: its states, joints q (n, n_actuated) [m or rad] where `ok`, and errors.
+
+    Joints are null where the mask `ok` (n,) is not set.
+    """
     joints = joint_columns(robot, q)
     return [
         {

@@ -260,7 +260,7 @@ class KrlReader(Reader):
         return Unknown(f"{shown} is not known here; give $config.dat with --frames", whole=True)
 
     def _form(self, form: Hashable, state: State) -> dict[str, Hashable]:
-        """What an inline form selects: one that is written out, or its name."""
+        """Return the selections of an inline form: one that is written out, or its name."""
         if isinstance(form, Unknown):
             return dict.fromkeys(_SELECTED, form)
         name = form.name if isinstance(form, Data) else str(form)

@@ -73,7 +73,6 @@ class ClosedModel:
     Attributes:
         urdf: Calibrated URDF, with free joints added where requested.
         home: Value of every moving joint in an assembled configuration [m or rad].
-        actuated: Joints with a motor.
         inertia: Inertia at each motor at home, loops closed, the other motors at rest [kg or kg m^2].
         ties: Ties that close the loops.
         gaps: Gaps that the ties have to absorb; empty with free joints.
@@ -83,7 +82,6 @@ class ClosedModel:
 
     urdf: UrdfText
     home: dict[str, float]
-    actuated: tuple[str, ...]
     inertia: tuple[float, ...]
     ties: tuple[Tie, ...]
     gaps: tuple[Gap, ...]
@@ -115,8 +113,7 @@ def closed_model(robot: Robot, *, free_slide: bool = False) -> ClosedModel:
     for index, (loop, (a, b)) in enumerate(zip(robot.mechanism.loops, ends, strict=True)):
         name = loop.name if names.count(loop.name) == 1 else f"{loop.name}_{index}"
         ties.append(Tie(name, a, b, loop.full_pose, poses[b].actInv(poses[a])))
-    inertia = motor_inertia(robot, urdf)
-    return ClosedModel(urdf, home, robot.joint_names, inertia, tuple(ties), gaps, _markers(robot), robot)
+    return ClosedModel(urdf, home, motor_inertia(robot, urdf), tuple(ties), gaps, _markers(robot), robot)
 
 
 def home_values(robot: Robot) -> dict[str, float]:

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -45,37 +44,35 @@ _NO_MASS, _NO_INERTIA = 1e-9, 1e-12
 _TYPES = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
 
 
-@dataclass(frozen=True)
 class Mjcf:
-    """An MJCF file, the converted mesh files that it names, and remarks on shapes that cannot be drawn."""
+    """An MJCF file.
 
-    content: bytes
-    meshes: dict[Path, bytes]
-    notes: tuple[str, ...]
+    Args:
+        model: The robot.
+        path: The file; mesh files are named relative to its folder.
+        provenance: Lines of its comment.
 
-
-def mjcf(model: ClosedModel, path: Path | str = "robot.xml", provenance: Sequence[str] = ()) -> Mjcf:
-    """Return the MJCF file, and the meshes that had to be converted for it, named relative to the folder of `path`.
+    Attributes:
+        content: Its bytes.
+        meshes: Contents of the mesh files that had to be converted for it.
+        notes: Remarks on shapes that cannot be drawn.
 
     Raises:
         InputError: A link other than the root is named `world`, which MuJoCo reserves.
     """
-    writer = _Writer(model, Path(path))
-    content = writer.write(provenance)
-    return Mjcf(content, writer.shapes.converted, tuple(dict.fromkeys(writer.shapes.remarks)))
 
-
-class _Writer:
-    def __init__(self, model: ClosedModel, path: Path) -> None:
+    def __init__(self, model: ClosedModel, path: Path | str = "robot.xml", provenance: Sequence[str] = ()) -> None:
         self.model = model
         self.links = read_links(model.urdf)
         self.remarks: list[str] = []
-        self.shapes = MjcfShapes(model.robot.urdf.path, path)
+        self.shapes = MjcfShapes(model.robot.urdf.path, Path(path))
         self.children: dict[str, list[UrdfJoint]] = {link: [] for link in model.urdf.links}
         for joint in model.urdf.joints:
             self.children[joint.parent].append(joint)
+        self.content = self._write(provenance)
+        self.meshes, self.notes = self.shapes.converted, tuple(dict.fromkeys(self.shapes.remarks))
 
-    def write(self, provenance: Sequence[str]) -> bytes:
+    def _write(self, provenance: Sequence[str]) -> bytes:
         root = Element("mujoco", model=self.model.urdf.name or "robot")
         SubElement(root, "compiler", angle="radian", autolimits="true")
         SubElement(root, "option", timestep="0.001", integrator="implicitfast")
@@ -193,7 +190,7 @@ class _Writer:
 
     def _equality(self, root: Element) -> None:
         moving = (joint for joint in self.model.urdf.joints if joint.type not in HELD_TYPES)
-        followers = [joint for joint in moving if joint.mimic and joint.name not in self.model.actuated]
+        followers = [joint for joint in moving if joint.mimic and joint.name not in self.model.robot.joint_names]
         if not self.model.ties and not followers:
             return
         equality = SubElement(root, "equality")
@@ -212,7 +209,7 @@ class _Writer:
 
     def _actuators(self, root: Element) -> None:
         actuator = SubElement(root, "actuator")
-        for name, inertia in zip(self.model.actuated, self.model.inertia, strict=True):
+        for name, inertia in zip(self.model.robot.joint_names, self.model.inertia, strict=True):
             stiffness, damping = servo_gains(inertia)
             SubElement(actuator, "position", name=name, joint=name, kp=repr(stiffness), kv=repr(damping))
 
@@ -220,5 +217,5 @@ class _Writer:
         """Add the keyframe home, with the servos there; joints in MuJoCo's order."""
         joints = [element.attrib for element in root.iter("joint") if "type" in element.attrib]
         positions = number_attribute(self.model.home[joint["name"]] for joint in joints)
-        controls = number_attribute(self.model.home[name] for name in self.model.actuated)
+        controls = number_attribute(self.model.home[name] for name in self.model.robot.joint_names)
         SubElement(SubElement(root, "keyframe"), "key", name="home", qpos=positions, ctrl=controls)

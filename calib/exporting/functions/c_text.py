@@ -33,7 +33,7 @@ def c_text(facts: RobotFacts, lines: Sequence[str]) -> str:
     """Return the C file of a robot; `lines` are comments on the origin of the numbers."""
     parts = [_comment(facts, lines), _sizes(facts), template("c_types"), _tables(facts)]
     parts += [template(name) for name in ("c_code", "c_loops", "c_joints", "c_doors")]
-    prefix = c_name(facts.name)
+    prefix = c_name(facts.robot.name)
     return f"{''.join(parts)}\n#endif\n".replace("@", prefix)
 
 
@@ -58,10 +58,10 @@ def _comment(facts: RobotFacts, lines: Sequence[str]) -> str:
 def _sizes(facts: RobotFacts) -> str:
     trees = [facts.tree, *([facts.gravity.tree] if facts.gravity else [])]
     sizes = {
-        "N": len(facts.joints),
+        "N": len(facts.robot.joint_names),
         "N_DRIVEN": facts.tree.n_driven,
         "N_PASSIVE": facts.tree.n_passive,
-        "N_TOOLS": len(facts.tools),
+        "N_TOOLS": len(facts.robot.target_names),
         "N_SHARES": len(facts.shares),
         "N_WAVES": len(facts.waves),
         "MAX_JOINTS": max(len(tree.joints) for tree in trees),
@@ -71,13 +71,13 @@ def _sizes(facts: RobotFacts) -> str:
     }
     lines = ["#ifndef @_INCLUDED", "#define @_INCLUDED", "", "#include <math.h>", "#include <stddef.h>", ""]
     lines += [f"#define @_{name} {size}" for name, size in sizes.items()]
-    lines += [f"#define @_LENGTH {_number(facts.length)} /* compares metres and radians */"]
+    lines += [f"#define @_LENGTH {_number(facts.robot.mechanism.length)} /* compares metres and radians */"]
     lines += [f"#define @_TURN {_number(2.0 * np.pi)}", f"#define @_REFERENCE {_number(REFERENCE_TEMPERATURE)}", ""]
     return "\n".join(lines) + "\n"
 
 
 def _tables(facts: RobotFacts) -> str:
-    scale = facts.tree.scale[: len(facts.joints)]
+    scale = facts.tree.scale[: len(facts.robot.joint_names)]
     neutral = [[0.0], 0.0, REFERENCE_TEMPERATURE, 0.0]  # approach, time, temperature, load
     text = [
         _array("double @_lower[]", facts.lower),

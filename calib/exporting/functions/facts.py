@@ -109,24 +109,19 @@ class RobotFacts(ReadOnlyArrays):
     """Numbers of a robot for its function.
 
     Attributes:
-        name: The robot's name.
-        joints: Names of the actuated joints, in the order of commands.
-        units: Unit of each, `rad` or `m`.
-        tools: Names of the targets.
+        robot: The robot.
+        units: Unit of each actuated joint, `rad` or `m`.
         tree: Tree of the robot; its first frame is the measurement frame, then one for each target.
         shares, waves: Its joint errors.
         gravity: For torques; None if no error depends on them.
         conditions: Default value and meaning of each condition that the joint errors depend on, by name.
         lower, upper: Limits of the actuated joints, (n_actuated,) [m or rad].
         home: Commands of the home configuration, within these limits, (n_actuated,) [m or rad].
-        length: Characteristic length [m].
         base: Pose of the measurement frame in the root link, (4, 4) [m]; None if joints move it.
     """
 
-    name: str
-    joints: tuple[str, ...]
+    robot: Robot
     units: tuple[str, ...]
-    tools: tuple[str, ...]
     tree: FunctionTree
     shares: tuple[JointShare, ...]
     waves: tuple[Wave, ...]
@@ -135,7 +130,6 @@ class RobotFacts(ReadOnlyArrays):
     lower: FloatArray
     upper: FloatArray
     home: FloatArray
-    length: float
     base: FloatArray | None
 
 
@@ -152,10 +146,8 @@ def facts_of(robot: Robot) -> RobotFacts:
     sources = {share.source for share in shares}
     lower, upper = robot.urdf.limits(mechanism.actuated)
     return RobotFacts(
-        name=robot.name,
-        joints=robot.joint_names,
+        robot=robot,
         units=tuple("m" if mechanism.dimensions[name] == "length" else "rad" for name in robot.joint_names),
-        tools=robot.target_names,
         tree=tree_of(mechanism, robot.mode, frames, configurations),
         shares=shares,
         waves=waves,
@@ -164,7 +156,6 @@ def facts_of(robot: Robot) -> RobotFacts:
         lower=lower,
         upper=upper,
         home=np.clip(robot.home, lower, upper),
-        length=mechanism.length,
         base=_base(robot),
     )
 
@@ -249,9 +240,9 @@ def template(name: str) -> str:
 
 def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
     """Return the header of a file in lines; `base` is the name of the measurement frame's pose in the file."""
-    joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))
-    text = [f"The robot {facts.name}: poses of its tools from the commands of its joints.", "", *lines]
-    tools = ", ".join(f"{k} {name}" for k, name in enumerate(facts.tools))
+    joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.robot.joint_names, facts.units, strict=True))
+    text = [f"The robot {facts.robot.name}: poses of its tools from the commands of its joints.", "", *lines]
+    tools = ", ".join(f"{k} {name}" for k, name in enumerate(facts.robot.target_names))
     text += ["", f"Commands: {joints}. All units are SI.", f"Tools: {tools}."]
     text.append("Poses of a tool are in the measurement frame, if the calibration places the robot in it.")
     if facts.base is None:

@@ -45,7 +45,7 @@ def _docstring(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
     text = [
         *header_lines(facts, lines, "BASE"),
         "",
-        f"{', '.join(functions)} take one pose, or batches of any shape; q is (..., {len(facts.joints)}).",
+        f"{', '.join(functions)} take one pose, or batches of any shape; q is (..., {len(facts.robot.joint_names)}).",
     ]
     if facts.conditions:
         text += ["", "Joint errors depend on conditions, which these functions take by name:"]
@@ -57,15 +57,15 @@ def _docstring(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
 
 def _numbers(facts: RobotFacts) -> str:
     entries: dict[str, Any] = {
-        "JOINTS": facts.joints,
+        "JOINTS": facts.robot.joint_names,
         "UNITS": facts.units,
-        "TOOLS": facts.tools,
+        "TOOLS": facts.robot.target_names,
         "CONDITIONS": {name: neutral for name, (neutral, _) in facts.conditions.items()},
         "LOWER": facts.lower,
         "UPPER": facts.upper,
         "HOME": facts.home,
         "BASE": facts.base,
-        "_LENGTH": facts.length,
+        "_LENGTH": facts.robot.mechanism.length,
         "_TURN": 2.0 * np.pi,
         "_WORLD": np.eye(4, 3),
         "_WORLD_ROW": np.eye(4)[3:],

@@ -36,6 +36,9 @@ SCARA = """<robot name="scara"><link name="l0"/><link name="l1"/><link name="l2"
 <limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
 
 
+PROGRAM = np.random.default_rng(3).uniform(-0.7, 0.7, (20, 6)) + np.array([0, 0.6, 0.3, 0, 1.1, 0])
+
+
 def six_axis(folder, extra=""):
     free = "  - {origin: all, components: [x, y, z], sigma: 1 mm}\n"
     free += "  - {origin: all, components: [rx, ry, rz], sigma: 2 mrad}\n"
@@ -73,27 +76,20 @@ def test_medrue_runs_a_compensated_program_at_the_error_of_its_calibration():
     assert rms(compensation.expected) == pytest.approx(rms(error), rel=1.0)
 
 
-def test_the_temperature_of_a_program_counts(tmp_path):
-    extra = "  - {joint: j2, term: temperature}\n"
-    robot = six_axis(tmp_path, extra).with_parameters({"j2.temperature": 2e-4})  # 2 mrad at 30 degC
-    program = np.random.default_rng(3).uniform(-0.7, 0.7, (20, 6)) + np.array([0, 0.6, 0.3, 0, 1.1, 0])
-    path = tmp_path / "program.csv"
-    rows = "\n".join(",".join(map(repr, (*map(float, q), 30.0))) for q in program)
-    path.write_text(f"j1,j2,j3,j4,j5,j6,temperature [degC]\n{rows}\n")
-    warm = compensate(robot, calib.read_poses(path, robot))
-    cold = compensate(robot, program)
-    np.testing.assert_allclose(cold.q, program, atol=1e-9)
-    np.testing.assert_allclose(warm.q - program, np.eye(6)[1] * np.full((20, 1), -2e-3), atol=1e-9)
-
-
-def test_the_side_that_a_program_states_counts_and_not_the_order_of_its_rows(tmp_path):
-    robot = six_axis(tmp_path, "  - {joint: j2, term: backlash}\n").with_parameters({"j2.backlash": 3e-4})
-    program = np.random.default_rng(3).uniform(-0.7, 0.7, (20, 6)) + np.array([0, 0.6, 0.3, 0, 1.1, 0])
-    side = np.tile([1, 1, -1, -1], 5)
-    rows = "\n".join(f"{','.join(map(repr, q.tolist()))},{item}" for q, item in zip(program, side, strict=True))
-    (tmp_path / "program.csv").write_text(f"j1,j2,j3,j4,j5,j6,approach_j2\n{rows}\n")
+@pytest.mark.parametrize(
+    ("term", "value", "column", "cells", "shift"),
+    [
+        ("temperature", 2e-4, "temperature [degC]", np.full(20, 30.0), np.full(20, -2e-3)),
+        ("backlash", 3e-4, "approach_j2", np.tile([1, 1, -1, -1], 5), -3e-4 * np.tile([1, 1, -1, -1], 5)),
+    ],
+)
+def test_what_a_program_states_of_its_rows_counts_and_not_their_order(tmp_path, term, value, column, cells, shift):
+    robot = six_axis(tmp_path, f"  - {{joint: j2, term: {term}}}\n").with_parameters({f"j2.{term}": value})
+    write_table(tmp_path / "program.csv", [*robot.joint_names, column], PROGRAM, cells[:, None])
     compensation = compensate(robot, calib.read_poses(tmp_path / "program.csv", robot))
-    np.testing.assert_allclose(compensation.q - program, np.outer(-3e-4 * side, np.eye(6)[1]), atol=1e-9)
+    np.testing.assert_allclose(compensation.q - PROGRAM, np.outer(shift, np.eye(6)[1]), atol=1e-9)
+    if term == "temperature":  # without its column, joints are as warm as when they were described
+        np.testing.assert_allclose(compensate(robot, PROGRAM).q, PROGRAM, atol=1e-9)
 
 
 def test_a_board_that_a_camera_on_the_arm_looks_at_is_no_tool(tmp_path):
@@ -101,7 +97,7 @@ def test_a_board_that_a_camera_on_the_arm_looks_at_is_no_tool(tmp_path):
     robot = six_axis(tmp_path)
     yaml = (tmp_path / "arm.yaml").read_text()
     (tmp_path / "arm.yaml").write_text(yaml.replace("targets:\n", "targets:\n  board: {frame: l0, xyz: [1, 0, 0]}\n"))
-    program = np.random.default_rng(3).uniform(-0.7, 0.7, (5, 6)) + np.array([0, 0.6, 0.3, 0, 1.1, 0])
+    program = PROGRAM[:5]
     compensation = compensate(perturbed(calib.load(tmp_path / "arm.yaml"), 1), program)
     assert compensation.target == "ball"
     np.testing.assert_allclose(compensation.q, compensate(perturbed(robot, 1), program).q, atol=1e-9)

@@ -15,8 +15,7 @@ from calib.core.base.words import count_noun, json_file, listing
 from calib.core.instruments.camera import NAMES
 from calib.photographs.estimation import LITTLE_TURN, rms, turning
 from calib.photographs.hand_eye import HandEye
-from calib.photographs.image_coverage import LITTLE_COVERAGE, image_coverage
-from calib.photographs.scene import SIDES, Mount
+from calib.photographs.scene import LITTLE_COVERAGE, SIDES, Mount
 
 FEW = 10  # images; a result of fewer gets CHECK
 _MANY = 0.1  # the photographs are wrong if more than this part of the points was left out
@@ -97,7 +96,7 @@ def judge(result: HandEye) -> HandEyeJudgement:
             f" {quantity_text(axes[1], 'deg', '.0f')} about others: lengths along the first axis are poorly known"
         )
         advice.append("tilt the tool by 20 to 40 deg about two more axes")
-    covered = image_coverage(scene.pixels, scene.size)
+    covered = scene.coverage
     if covered < LITTLE_COVERAGE:
         advice.append(f"bring the board into more of the image (it was seen in {100 * covered:.0f} %)")
         if result.lens_found:
@@ -147,7 +146,7 @@ def report(result: HandEye, frames: Frames) -> str:
             f" board, {rms(result.left_out.pixels):.3f} px in the image (RMS of images left out in turn). With 95 %"
             f" probability, the RMS of as many new images is below {quantity_text(result.limit, 'mm', '.3f')}"
         )
-    errors, by_image = np.linalg.norm(result.board, axis=1), result.rms_by_image(result.pixels)
+    errors, by_image = np.linalg.norm(result.board, axis=1), scene.rms_by_image(result.pixels)
     lines.append(
         f"Images used: {rms(result.pixels):.3f} px RMS; on the board {quantity_text(rms(result.board), 'mm', '.3f')}"
         f" RMS, mean {quantity_text(errors.mean(), 'mm', '.3f')}, largest {quantity_text(errors.max(), 'mm', '.3f')}"
@@ -210,10 +209,8 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
     """Return a calibration as data [m, rad, px]."""
     scene, fitted, half = result.scene, result.fitted, result.uncertainty()
     above = frames.parents(scene.mount)
-    images = zip(
-        scene.names, scene.counts, result.rms_by_image(result.pixels), result.rms_by_image(result.left_out.pixels),
-        result.rms_by_image(result.board), result.rms_by_image(result.left_out.board), strict=True,
-    )  # fmt: skip
+    errors = (result.pixels, result.left_out.pixels, result.board, result.left_out.board)
+    images = zip(scene.names, scene.counts, *map(scene.rms_by_image, errors), strict=True)
     return {
         **judge(result).content(),
         "contains": contents(result.contains),

@@ -38,11 +38,11 @@ from calib.core.instruments.camera import NAMES
 from calib.core.numerics.identifiability import extend_reduced
 from calib.core.numerics.linear_model import LinearModel
 from calib.photographs.camera_alone import camera_alone
+from calib.photographs.choices import free_lens, unlikely
 from calib.photographs.estimation import HandEyeEstimate, estimate, left_out_errors, plain, rms, solve
-from calib.photographs.lens_choice import free_lens, unlikely
+from calib.photographs.robot_errors import ErrorSizes, ImageRows
 from calib.photographs.scene import OTHER, SIDES, BoardScene, HandEyePlacement, Mount, residuals
-from calib.photographs.shared_errors import ErrorSizes, ImageRows
-from calib.photographs.starts import image_rms, start
+from calib.photographs.starts import Start, start
 
 _SHIFTS = (1, -1, 2, -2)
 _FEWEST = 4  # images
@@ -213,7 +213,7 @@ def _other_size(scene: BoardScene, fitted: HandEyeEstimate) -> Iterator[tuple[fl
         f"the board is {100 * abs(change):.0f} % {'larger' if change > 0 else 'smaller'} than described: measure its"
         " squares or markers, and correct its sizes"
     )
-    yield float(np.median(image_rms(scene, placed))), "square_size", text
+    yield Start(scene, placed).typical, "square_size", text
 
 
 def _check_exchange(placed: HandEyePlacement, mount: Mount) -> Mistake | None:
@@ -313,7 +313,7 @@ def _mistakes_of_lens(fitted: HandEyeEstimate, better: HandEyeEstimate, given: F
             f"{NAMES[number]} is given as {given[number]:.{digits}f}, and found as"
             f" {better.placed.intrinsics[number]:.{digits}f} ± {std[k]:.{digits}f}"
         )
-    before, after = (float(np.median(image_rms(fitted.scene, each.placed))) for each in (fitted, better))
+    before, after = (Start(fitted.scene, each.placed).typical for each in (fitted, better))
     text = f"the intrinsics given contradict the photographs: {', '.join(numbers)}{f' ({swap})' if swap else ''}; " + (
         "let them be found (leave out --lens given)" if kept else "those found are used"
     )

@@ -23,7 +23,7 @@ from scipy.stats import binomtest, t
 
 from calib.core.base.errors import CalibrationError
 from calib.photographs.estimation import plain, rms
-from calib.photographs.hand_eye_calibration import calibrate
+from calib.photographs.hand_eye import calibrate
 from calib.photographs.hand_eye_result import judge
 from calib.photographs.scene import BoardScene, HandEyePlacement, plane_errors_on_board
 from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, SIZE, board_points, pixels_from, pose, tools

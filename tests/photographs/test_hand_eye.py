@@ -14,11 +14,11 @@ from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
 from calib.photographs.camera_alone import intrinsics_at_first, point_errors
 from calib.photographs.estimation import plain, rms, solve, weigh_images
-from calib.photographs.hand_eye_calibration import calibrate
+from calib.photographs.hand_eye import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.mistakes import other_readings
+from calib.photographs.robot_errors import ErrorSizes
 from calib.photographs.scene import POSES, HandEyePlacement, HandEyeUnknowns, plane_errors_on_board, residuals, rows
-from calib.photographs.shared_errors import ErrorSizes
 from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, pixels_from, pixels_of, pose, scene
 
 pytest.importorskip("cv2", reason="extra 'camera'")

@@ -22,14 +22,13 @@ from calib.core.data.tables import read_table
 from calib.core.instruments.board import Board
 from calib.core.robots.robot import Robot
 from calib.photographs.camera_files import read_camera
+from calib.photographs.choices import LENSES
 from calib.photographs.commands.boards import board_if_any, read_board_option
-from calib.photographs.commands.detect import detect_board, nothing_found, summary
+from calib.photographs.commands.detect import detect_board, summary
 from calib.photographs.detection import DetectedImage
-from calib.photographs.hand_eye import HandEye
-from calib.photographs.hand_eye_calibration import calibrate, require_images
+from calib.photographs.hand_eye import HandEye, calibrate, require_images
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report, transform_files
 from calib.photographs.images import Shot, joint_columns, shots, with_joints
-from calib.photographs.lens_choice import LENSES
 from calib.photographs.mistakes import Mistake
 from calib.photographs.pages import exaggeration, figure
 from calib.photographs.pose_pairs import PosePairs, content_of_pairs, judge_pairs, report_pairs, solve_pairs
@@ -130,10 +129,8 @@ def command(
         small = {shot.name: copy for shot, copy in zip(photographs, copies, strict=True)}
         detected_images, described = list(detection.usable), detection.board
         mirrored = [image.name for image in detection.images if image.mirrored]
-        for line in summary(detection):
+        for line in summary(detection)[0]:
             output.say(line)
-        if not detected_images:
-            raise nothing_found(detection)
     tool = _tool_poses(detected_images, poses, model, angles, photographs, output)
     by_name = {image.name: image for image in detected_images}
     detected_images = [by_name[name] for name in tool]
@@ -280,7 +277,7 @@ def _read_detected(path: str, board: Board) -> list[DetectedImage]:
 def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedImage], small: dict[str, bytes]) -> bytes:
     scene, images = result.scene, {image.name: image for image in detected_images}
     factor = exaggeration(result.pixels, scene.size[0])
-    each, on = result.rms_by_image(result.pixels), result.rms_by_image(result.board)
+    each, on = scene.rms_by_image(result.pixels), scene.rms_by_image(result.board)
     figures = []
     for i, name in enumerate(scene.names):
         points = scene.image == i

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
@@ -102,6 +103,11 @@ class DataSet(ABC):
         if read.hexdigest() != self.digest:
             raise MissingDataError(f"{here}: {', '.join(self.files)} are other data than here, by their SHA-256")
         return here
+
+
+def write_json(folder: Path, told: Mapping[str, object]) -> None:
+    """Write problem.json, arrays as lists."""
+    (folder / "problem.json").write_text(json.dumps(told, default=np.ndarray.tolist))
 
 
 def drawn(rows: Rows, seed: int, n_train: int, n_unseen: int) -> tuple[Rows, Rows]:

@@ -191,7 +191,8 @@ def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
     return [shot if shot.joints else replace(shot, image=words) for shot in photographs]
 
 
-def joint_columns(shots_used: Sequence[Shot]) -> tuple[list[str], FloatArray]:
-    """Return names and values (n_images, n_joints) of the images' joints; no names if images have none."""
-    names = list(shots_used[0].joints or ()) if shots_used else []
-    return names, np.array([[(shot.joints or {})[name] for name in names] for shot in shots_used])
+def joint_columns(photographs: Sequence[Shot], chosen: Sequence[str]) -> tuple[list[str], FloatArray]:
+    """Return names and values (n_chosen, n_joints) of the chosen images' joints; no names if images have none."""
+    joints = {shot.name: shot.joints or {} for shot in photographs}
+    names = list(joints[chosen[0]])
+    return names, np.array([[joints[image][name] for name in names] for image in chosen])

@@ -78,20 +78,16 @@ def detect_board(
         DataError: No image shows the board.
     """
     small: list[bytes] = []
-
-    def read() -> Iterator[tuple[str, GreyImage | str]]:
-        for shot in photographs:
-            image = shot.read()
-            small.append(small_copy(image) if pictures else b"")
-            yield shot.name, image
-
     with output.working("looking for the board") as progress:
-        detections = detect(board, read())
-        for k, _ in enumerate(photographs):
-            next(detections)
-            progress(k + 1, len(photographs))
-        result = next(detections)  # in the whole set
-    assert isinstance(result, Detection)
+
+        def read() -> Iterator[tuple[str, GreyImage | str]]:
+            for k, shot in enumerate(photographs):
+                progress(k, len(photographs))
+                image = shot.read()
+                small.append(small_copy(image) if pictures else b"")
+                yield shot.name, image
+
+        result = detect(board, read())
     for image in result.images:
         if image.remark:
             output.note(f"{'note' if image.usable else 'left out'}: {image.name}: {image.remark}")
@@ -103,9 +99,8 @@ def detect_board(
 
 def _pixel_table(detection: Detection, photographs: Sequence[Shot], columns: str) -> str:
     """The detected points as a table, with one row for each point."""
-    by_name = {shot.name: shot for shot in photographs}
     usable = detection.usable
-    names, joints = joint_columns([by_name[image.name] for image in usable])
+    names, joints = joint_columns(photographs, [image.name for image in usable])
     counts = [len(image.points) for image in usable]
     pixels = np.concatenate([image.pixels for image in usable])
     table: list[tuple[str, Sequence[object]]] = [

@@ -237,8 +237,7 @@ def _tool_poses(
         return {names[k]: tool[k] for k in sorted(chosen)}
     if model is None or not photographs:
         raise InputError(_NO_POSES)
-    by_name = {shot.name: shot for shot in photographs}
-    names, values = joint_columns([by_name[name] for name in seen])
+    names, values = joint_columns(photographs, seen)
     missing = next((name for name in model.joint_names if name not in names), None)
     if missing is not None:
         raise DataError(f"the bag has no joint '{missing}'{nearest(missing, names)}")

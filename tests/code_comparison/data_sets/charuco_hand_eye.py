@@ -81,7 +81,7 @@ def read(folder: Path, board: str) -> Images:
     """Return the corners of all images of a folder, in the order of its table of poses."""
     described = read_board_option(board)
     table = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=1)
-    *_, detected = detect(described, ((image.name, image.read()) for image in shots([str(folder / "images")])))
+    detected = detect(described, ((image.name, image.read()) for image in shots([str(folder / "images")])))
     seen = {Path(image.name).stem: image for image in detected.usable}
     points, rows = detected.board.points(), [row for row in table if str(int(row[0])) in seen]
     own = [seen[str(int(row[0]))] for row in rows]

@@ -31,19 +31,14 @@ BOARDS = {
 }
 
 
-def drawn(board, size, margin):
-    """A board as an image with pixels of this size and a white margin [m]."""
-    x, y = ((np.arange(np.ceil((length + 2 * margin) / size)) + 0.5) * size - margin for length in board.size)
+def seen(board, homography=None):
+    """A photograph by OpenCV's own warping, of pixels of 0.4 mm, and the homography from the board [m] to it."""
+    x, y = ((np.arange(np.ceil((length + 0.06) / 4e-4)) + 0.5) * 4e-4 - 0.03 for length in board.size)
     places = np.stack(np.meshgrid(x, y), axis=-1)
-    return np.where(Paper(board).black(places.reshape(-1, 2)), 0, 255).astype(np.uint8).reshape(places.shape[:2])
-
-
-def seen(board, homography=None, size=(900, 760)):
-    """A photograph by OpenCV's own warping, and the homography from the board [m] to it."""
-    flat = drawn(board, 4e-4, 0.03)
+    flat = np.where(Paper(board).black(places.reshape(-1, 2)), 0, 255).astype(np.uint8).reshape(places.shape[:2])
     if homography is None:
         homography = np.array([[0.95, -0.18, 160.0], [0.12, 0.9, 40.0], [1e-4, -1e-4, 1.0]])
-    image = cv2.warpPerspective(flat, homography, size, borderValue=130)
+    image = cv2.warpPerspective(flat, homography, (900, 760), borderValue=130)
     to_raster = np.array([[1 / 4e-4, 0, 0.03 / 4e-4 - 0.5], [0, 1 / 4e-4, 0.03 / 4e-4 - 0.5], [0, 0, 1]])
     return cv2.GaussianBlur(image, (0, 0), 0.8), homography @ to_raster
 

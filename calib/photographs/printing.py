@@ -145,13 +145,10 @@ def page(board: Board, form: str, paper: str | None = None) -> bytes:
     stream = io.BytesIO()
     about = {"Date": None} if form == "svg" else {"CreationDate": None}
     figure.savefig(stream, format=form, metadata=about)
-    return stream.getvalue() if form == "pdf" else _with_size_in_millimetres(stream.getvalue(), sheet)
-
-
-def _with_size_in_millimetres(svg: bytes, sheet: FloatArray) -> bytes:
-    """The page with its size in mm, a unit that every program knows, not in points."""
-    size = 'width="{:g}mm" height="{:g}mm"'.format(*millimetres(sheet))
-    return re.sub(rb'width="[0-9.]+pt" height="[0-9.]+pt"', size.encode(), svg, count=1)
+    if form == "pdf":
+        return stream.getvalue()
+    size = 'width="{:g}mm" height="{:g}mm"'.format(*millimetres(sheet))  # points are known to fewer programs
+    return re.sub(rb'width="[0-9.]+pt" height="[0-9.]+pt"', size.encode(), stream.getvalue(), count=1)
 
 
 def _sheet(paper: str, needed: FloatArray, board: Board) -> FloatArray:

@@ -139,7 +139,10 @@ def summary(detection: Detection) -> tuple[list[str], dict[str, object]]:
             lines.append(
                 "That is too little to find where the camera is: tilt the tool by 20 to 40 deg about two axes or more"
             )
-    missing = sorted(set(points) - {name for image in usable for name in image.points}, key=_number)
+    missing = sorted(
+        set(points) - {name for image in usable for name in image.points},
+        key=lambda point: [int(part) for part in point[1:].split(".")],
+    )
     if missing and len(usable) >= LEAST_IMAGES:
         lines.append(
             f"In no image: {count_noun(len(missing), 'point')} of the board ({listing(missing)}); check columns and"
@@ -163,7 +166,3 @@ def summary(detection: Detection) -> tuple[list[str], dict[str, object]]:
         "images": images,
     }
     return lines, content
-
-
-def _number(point: str) -> list[int]:
-    return [int(part) for part in point[1:].split(".")]

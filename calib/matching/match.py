@@ -285,18 +285,12 @@ class TwinFit:
         description, name = robot.description, robot.target_names[0]
         target, state = description.targets[name], "unknown" if tool is None else "known"
         placed = {"pose": "unknown" if base is None else "known", **_xyz_rpy(aligned.base if base is None else base)}
+        held = _xyz_rpy(aligned.tool if tool is None else tool)
         content = {
             "urdf": Path(robot.urdf.path).name,
             "name_mot": robot.joint_names,
             "base": {"frame": description.base.frame, **placed},
-            "targets": {
-                name: {
-                    "frame": target.frame,
-                    "position": state,
-                    "orientation": state,
-                    **_xyz_rpy(aligned.tool if tool is None else tool),
-                }
-            },
+            "targets": {name: {"frame": target.frame, "position": state, "orientation": state, **held}},
             "instruments": {CONTROLLER: {"kind": "pose", "target": name}},
             "parametrisation": default_sections(),
         }
@@ -325,8 +319,7 @@ class TwinFit:
         rounding = np.stack(columns, axis=2) / np.sqrt(12.0)
         covariance = rounding @ rounding.swapaxes(1, 2)
         values = np.hstack([T[:, :3, 3], scipy.spatial.transform.Rotation.from_matrix(T[:, :3, :3]).as_rotvec()])
-        index = np.arange(n)
-        readings = Readings(index, np.zeros(n, dtype=np.intp), values, covariance, np.zeros((n, 0)))
+        readings = Readings(np.arange(n), np.zeros(n, dtype=np.intp), values, covariance, np.zeros((n, 0)))
         names = [pairs.rows[k] for k in kept]
         return as_measurements(model, q, {CONTROLLER: readings}, names), rounding
 

@@ -25,7 +25,7 @@ def small_copy(image: GreyImage | str) -> bytes:
     if width > _WIDTH:
         cv2 = opencv()
         size = _WIDTH, max(round(height * (_WIDTH / width)), 1)
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        return encode(cv2.resize(image, size, interpolation=cv2.INTER_AREA), ".jpg")
     return encode(image, ".jpg")
 
 

@@ -151,7 +151,7 @@ def test_a_fit_shows_the_errors_of_what_the_owner_has_saved(folder):
     described()
     printer = read_printer("printer.cfg", "klipper")
     errors = 1e3 * residuals(printer.geometry, printer.rows)
-    heights = np.array([len(row.places) == 1 for row in printer.rows])
+    heights = printer.rows.is_height
     fit = calib.fit("p.yaml", "p.csv")
     report, height = fit.report(), np.sqrt(np.mean(errors[heights] ** 2))
     drawn = next(table for table in reading_errors_of_fit(fit) if table.part.name == "height")
@@ -194,10 +194,10 @@ def test_seven_heights_do_not_say_that_a_carriage_moves_too_far(folder):
 def test_saved_rows_and_gears_count_and_included_files_are_named(folder):
     (folder / "saved.cfg").write_text(printer_cfg(behind=True))
     plain, saved = (read_printer(name, "klipper") for name in ("printer.cfg", "saved.cfg"))
-    assert [row.places for row in plain.rows] == [row.places for row in saved.rows]
+    np.testing.assert_array_equal(plain.rows.places, saved.rows.places)
     (folder / "geared.cfg").write_text(GOOD.replace("distance: 32", "distance: 96\ngear_ratio: 80:20, 3:4"))
     geared = read_printer("geared.cfg", "klipper")
-    np.testing.assert_allclose(geared.rows[5].places, plain.rows[5].places, rtol=1e-12)
+    np.testing.assert_allclose(geared.rows.places, plain.rows.places, rtol=1e-12)
     (folder / "main.cfg").write_text("[include printer.cfg]\n")
     with pytest.raises(CalibrationError, match="it may be in a file that is included"):
         read_printer("main.cfg", "klipper")

@@ -174,17 +174,15 @@ def report(result: HandEye, frames: Frames) -> str:
             digits = 2 if k < 4 else 4
             numbers.append(f"{NAMES[k]} {fitted.placed.intrinsics[k]:.{digits}f} ± {std:.{digits}f}")
         lines.append(f"  {', '.join(numbers)}")
-    lines += [
-        f"{title}: x {millimetres(pose['x']):.3f} y {millimetres(pose['y']):.3f} z"
-        f" {quantity_text(pose['z'], 'mm', '.3f')},"
-        f" quaternion (x y z w) {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ±"
-        f" {quantity_text(half[key][0], 'mm', '.2f')} along and ± {quantity_text(half[key][1], 'deg', '.3f')} about the"
-        " worst axis, including errors of the robot that depend on its pose"
-        for title, key, pose in (
-            (f"Camera in {frames.parents(scene.mount)[0]}", "camera", transform(fitted.placed.camera)),
-            (f"Board in {frames.parents(scene.mount)[1]}", "board", transform(fitted.placed.board)),
+    for name, above in zip(("camera", "board"), frames.parents(scene.mount), strict=True):
+        pose, (shift, turn) = transform(getattr(fitted.placed, name)), half[name]
+        lines.append(
+            f"{name.capitalize()} in {above}: x {millimetres(pose['x']):.3f} y {millimetres(pose['y']):.3f} z"
+            f" {quantity_text(pose['z'], 'mm', '.3f')},"
+            f" quaternion (x y z w) {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ±"
+            f" {quantity_text(shift, 'mm', '.2f')} along and ± {quantity_text(turn, 'deg', '.3f')} about the worst"
+            " axis, including errors of the robot that depend on its pose"
         )
-    ]
     lines += [f"Next: {text}" for text in judgement.advice]
     return "\n".join(lines)
 
@@ -268,7 +266,7 @@ def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[st
     arguments = [text for key, value in numbers.items() for text in (f"--{key}", value)]
     arguments += ["--frame-id", above, "--child-frame-id", frames.camera]
     hand = mount == "tool"
-    matrix = "\n".join(" ".join(f"{value:.15g}" for value in row) for row in camera)
+    matrix = "".join(" ".join(f"{value:.15g}" for value in row) + "\n" for row in camera)
     namespace = f"/easy_handeye_eye_on_{'hand' if hand else 'base'}/"
     frame_lines = (
         f"  robot_base_frame: {frames.base}\n  robot_effector_frame: {frames.tool}\n"
@@ -276,12 +274,18 @@ def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[st
     )
     inside = "".join(f"  {key}: {number}\n" for key, number in numbers.items())
     return {
-        "camera_matrix.txt": (matrix + "\n").encode(),
+        "camera_matrix.txt": matrix.encode(),
         "static_transform.sh": (
             "#!/bin/sh\n# the camera for ROS 2\n"
             f"exec ros2 run tf2_ros static_transform_publisher {' '.join(arguments)}\n"
         ).encode(),
-        "camera_pose.launch.py": _launch(arguments, hand).encode(),
+        "camera_pose.launch.py": (
+            f'"""The camera {SIDES[mount]}, as MoveIt launches it."""\n\nfrom launch import LaunchDescription\n'
+            "from launch_ros.actions import Node\n\n\n"
+            "def generate_launch_description():\n    return LaunchDescription([\n"
+            '        Node(package="tf2_ros", executable="static_transform_publisher", output="log",\n'
+            f"             arguments={arguments}),\n    ])\n"
+        ).encode(),
         "easy_handeye.yaml": (
             f"parameters:\n  namespace: {namespace}\n  move_group_namespace: /\n  move_group: manipulator\n"
             f"  eye_on_hand: {str(hand).lower()}\n{frame_lines}transformation:\n{inside}"
@@ -293,14 +297,3 @@ def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[st
             f"  rotation: {{x: {numbers['qx']}, y: {numbers['qy']}, z: {numbers['qz']}, w: {numbers['qw']}}}\n"
         ).encode(),
     }  # fmt: skip
-
-
-def _launch(arguments: list[str], hand: bool) -> str:
-    listing = ", ".join(repr(text) for text in arguments)
-    where = "on the tool" if hand else "beside the robot"
-    return (
-        f'"""The camera {where}, as MoveIt launches it."""\n\nfrom launch import LaunchDescription\n'
-        "from launch_ros.actions import Node\n\n\ndef generate_launch_description():\n    return LaunchDescription([\n"
-        '        Node(package="tf2_ros", executable="static_transform_publisher", output="log",\n'
-        f"             arguments=[{listing}]),\n    ])\n"
-    )

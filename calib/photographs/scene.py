@@ -75,10 +75,6 @@ class BoardScene(ReadOnlyArrays):
         kept = self.with_points(chosen[self.image])
         return replace(kept, names=names, tool=self.tool[chosen], image=(np.cumsum(chosen) - 1)[kept.image])
 
-    def image_alone(self, i: int) -> BoardScene:
-        """Return the scene with one image."""
-        return self.select_images(np.arange(len(self)) == i)
-
     def with_points(self, chosen: BoolArray) -> BoardScene:
         """Return the scene with the chosen points, (m,), and all images."""
         return replace(self, image=self.image[chosen], body=self.body[chosen], pixels=self.pixels[chosen])

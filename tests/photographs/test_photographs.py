@@ -2,6 +2,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
 import calib
@@ -182,21 +183,6 @@ def test_pages_to_print_have_the_true_size():
         page(read_board_option("chessboard:9x6:50mm"), "pdf", "a4")
 
 
-OPENCV = """%YAML:1.0
----
-image_width: 1280
-image_height: 960
-camera_matrix: !!opencv-matrix
-   rows: 3
-   cols: 3
-   dt: d
-   data: [ 900., 0., 640., 0., 905., 470., 0., 0., 1. ]
-distortion_coefficients: !!opencv-matrix
-   rows: 5
-   cols: 1
-   dt: d
-   data: [ -0.1, 0.05, 0.001, -0.002, 0.01 ]
-"""
 ROS = """image_width: 1280
 image_height: 960
 camera_name: narrow
@@ -207,9 +193,13 @@ distortion_coefficients: {rows: 1, cols: 5, data: [-0.1, 0.05, 0.001, -0.002, 0.
 
 
 def test_intrinsics_are_read_from_opencv_and_ros(tmp_path):
-    for text in (OPENCV, ROS):
-        (tmp_path / "camera.yaml").write_text(text)
-        camera = read_camera(tmp_path / "camera.yaml")
+    stored = cv2.FileStorage(str(tmp_path / "opencv.yaml"), cv2.FILE_STORAGE_WRITE)
+    for name, value in yaml.safe_load(ROS.replace("camera_name: narrow\n", "")).items():
+        stored.write(name, np.array(value["data"]).reshape(-1, value["cols"]) if isinstance(value, dict) else value)
+    stored.release()
+    (tmp_path / "ros.yaml").write_text(ROS)
+    for file in ("opencv.yaml", "ros.yaml"):
+        camera = read_camera(tmp_path / file)
         assert camera.intrinsics.tolist() == [900, 905, 640, 470, -0.1, 0.05, 0.001, -0.002, 0.01]
         assert camera.image == (1280, 960)
 

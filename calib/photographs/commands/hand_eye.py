@@ -250,12 +250,10 @@ def _read_detected(path: str, board: Board) -> list[DetectedImage]:
     size = next((match for text in table.comments if (match := _SIZE.search(text))), None)
     if size is None:
         raise DataError(f"{path}: does not say how large the images are; put '# image: 1600 x 1200 px' at its head")
-    pixel = next((name.removesuffix("_u") for name in table.names if name.endswith("_u")), None)
-    if pixel is None or f"{pixel}_v" not in table.names or "point" not in table.names:
+    pixel = next((name.removesuffix("_u") for name in table.names if name.endswith("_u")), "")
+    key = next((name for name in ("pose", "image") if name in table.names), "pose")
+    if not {key, "point", f"{pixel}_u", f"{pixel}_v"} <= set(table.names):
         raise DataError(f"{path}: needs columns pose, point, camera_u and camera_v, as calib detect writes them")
-    key = next((name for name in ("pose", "image") if name in table.names), None)
-    if key is None:
-        raise DataError(f"{path}: has no column 'pose'")
     pixels = np.stack([table.column(f"{pixel}_{axis}", "pixel") for axis in "uv"], axis=1)
     names, points, known = table.text(key), table.text("point"), board.points()
     strange = next((k for k, name in enumerate(points) if name not in known), None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -360,48 +360,33 @@ def test_a_tool_is_found(stock: Path, tmp_path: Path) -> None:
     assert calib.match(stock, pairs, tool=[30, 0, 120, 0, 0, 0]).grade == "PASS"
 
 
-EULER = {"A,B,C": "ZYX", "W,P,R": "xyz", "Rx,Ry,Rz": "XYZ", "O,A,T": "ZYZ"}
-
-
-@pytest.mark.parametrize("words", EULER)
-def test_makers_angles_are_found(stock: Path, tmp_path: Path, words: str) -> None:
-    q = joint_values(1)
-    header, rows = f"J1,J2,J3,J4,J5,J6,X,Y,Z,{words}", numbers(poses(q, origins()), EULER[words])
-    file = write(tmp_path / "p.csv", header, np.degrees(q), rows[:, :3], rows[:, 3:], digits=(3, 2, 3))
-    reading = only_reading(stock, file).reading
-    units = reading.joint_units[0], reading.length_unit, reading.angle_unit
-    assert (reading.convention.form, units, reading.direction) == (EULER[words], ("deg", "mm", "deg"), "direct")
-
-
-def test_quaternions_of_abb_and_lines_without_a_header_are_read(stock: Path, tmp_path: Path) -> None:
-    q = joint_values(1)
-    T = poses(q, origins())
+def as_makers_write(folder: Path, q: np.ndarray, T: np.ndarray) -> Iterator[tuple[Path, str]]:
+    """Files of the same pairs, each with the form of its rotations."""
     turns = Rotation.from_matrix(T[:, :3, :3])
-    header = "J1,J2,J3,J4,J5,J6,X,Y,Z,q1,q2,q3,q4"
-    scalar_first = turns.as_quat()[:, [3, 0, 1, 2]]
-    file = write(tmp_path / "p.csv", header, np.degrees(q), 1e3 * T[:, :3, 3], scalar_first, digits=(3, 2, 6))
-    assert only_reading(stock, file).reading.convention.form == "qw qx qy qz"
-    lines = [f"{a.tolist()} p{b.tolist()}" for a, b in zip(q, np.hstack([T[:, :3, 3], turns.as_rotvec()]), strict=True)]
-    (tmp_path / "log.txt").write_text("\n".join(lines))
-    reading = only_reading(stock, tmp_path / "log.txt").reading
-    assert reading.convention.form == "rotation vector"
-    assert (reading.joint_units[0], reading.length_unit) == ("rad", "m")
+    head, pairs = "J1,J2,J3,J4,J5,J6,X,Y,Z,", (np.degrees(q), 1e3 * T[:, :3, 3])
+    for words, form in {"A,B,C": "ZYX", "W,P,R": "xyz", "Rx,Ry,Rz": "XYZ", "O,A,T": "ZYZ"}.items():
+        angles = turns.as_euler(form, degrees=True)
+        yield write(folder / "p.csv", head + words, *pairs, angles, digits=(3, 2, 3)), form
+    quaternions = turns.as_quat(scalar_first=True)
+    yield write(folder / "p.csv", f"{head}q1,q2,q3,q4", *pairs, quaternions, digits=(3, 2, 6)), "qw qx qy qz"
+    vectors = np.hstack([T[:, :3, 3], turns.as_rotvec()])
+    (folder / "log.txt").write_text("\n".join(f"{a.tolist()} p{b.tolist()}" for a, b in zip(q, vectors, strict=True)))
+    yield folder / "log.txt", "rotation vector"
+    by_column = T.swapaxes(1, 2).reshape(-1, 16)
+    for stem, rows, form in (("actual_TCP_pose", vectors, "rotation vector"), ("O_T_EE", by_column, "matrix")):
+        names = ["timestamp", *(f"actual_q_{k}" for k in range(6)), *(f"{stem}_{k}" for k in range(rows.shape[1]))]
+        yield write(folder / "p.csv", ",".join(names), np.arange(30)[:, None], q, rows, digits=(2, 6, 6)), form
 
 
-@pytest.mark.parametrize(("stem", "width"), [("actual_TCP_pose", 6), ("O_T_EE", 16)])
-def test_columns_that_are_numbered_as_controllers_log_them_are_read(
-    stock: Path, tmp_path: Path, stem: str, width: int
-) -> None:
+def test_columns_of_all_makers_are_read(stock: Path, tmp_path: Path) -> None:
     q = joint_values(1)
     T = poses(q, origins())
-    vectors = np.hstack([T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()])
-    numbers = vectors if width == 6 else T.swapaxes(1, 2).reshape(-1, 16)  # column by column
-    names = ["timestamp", *(f"actual_q_{k}" for k in range(6)), *(f"{stem}_{k}" for k in range(width))]
-    file = write(tmp_path / "log.csv", ",".join(names), np.arange(30)[:, None], q, numbers, digits=(2, 6, 6))
-    read = read_pairs(file, JOINTS)
-    assert np.allclose(read.joints, q, atol=1e-6)
-    reading = only_reading(stock, file).reading
-    assert np.allclose(reading.poses(read.positions, read.rotations), T, atol=1e-5)
+    for file, form in as_makers_write(tmp_path, q, T):
+        reading, pairs = only_reading(stock, file).reading, read_pairs(file, JOINTS)
+        assert (reading.convention.form, reading.mistakes(pairs)) == (form, [])
+        joints, printed = reading.values(pairs)
+        assert np.allclose(joints, q, atol=2e-5)
+        assert np.allclose(printed, T, atol=3e-5)  # angles of a thousandth of a degree
 
 
 def test_a_log_of_thousands_is_used_evenly(stock: Path, tmp_path: Path) -> None:

@@ -166,10 +166,6 @@ class PlacedInterpretation:
 def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     """Return the readings that fit the nominal robot, the best first; several if only a fit can decide.
 
-    Args:
-        robot: Nominal, its base and target at the controller's possible links.
-        pairs: The file.
-
     Raises:
         DataError: No reading fits, or several fit equally; see `alike_error`.
     """

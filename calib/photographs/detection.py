@@ -75,12 +75,7 @@ class DetectedImage:
 
 @dataclass(frozen=True)
 class Detection:
-    """Points of a board detected in a set of images.
-
-    Attributes:
-        board: The board, with the layout that shows most corners.
-        images: Points in each image, in the given order.
-    """
+    """Points of a board, with the layout that shows most corners, detected in each image of a set."""
 
     board: Board
     images: tuple[DetectedImage, ...]

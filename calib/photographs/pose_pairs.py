@@ -114,13 +114,7 @@ class PosePairs(ReadOnlyArrays):
 def solve_pairs(
     names: Sequence[str], tool: FloatArray, seen: FloatArray, mounts: tuple[Mount, ...] = ("tool", "base")
 ) -> PosePairs:
-    """Return the poses of camera and marker.
-
-    Args:
-        names: Names of the pairs.
-        tool: The tool in the base, (n, 4, 4) [m].
-        seen: The marker in the camera, (n, 4, 4) [m].
-        mounts: Possible mounts of the camera.
+    """Return the poses of camera and marker, from the tool in the base and the marker seen, (n, 4, 4) [m] each.
 
     Raises:
         DataError: Too few pairs, or equal poses of the tool in all.

@@ -144,8 +144,7 @@ class ImageRows(ReadOnlyArrays):
     def find_sizes(self, twists: FloatArray | None = None) -> SolvedModel:
         """Return the mixed model with the likeliest sizes of the errors, those of pixels last.
 
-        Args:
-            twists: Motions N of the tool by each error of the arm, (n, 6, n_arm); no such errors if not given.
+        Errors of the arm count if `twists` are given, the motions N of the tool by each of them, (n, 6, n_arm).
         """
         known, n = self.pixels, int(self.image[-1]) + 1
         every, ends = np.hstack([self.levers, known.jacobian]), np.searchsorted(self.image, np.arange(n + 1))

@@ -35,12 +35,7 @@ _SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class Start(ReadOnlyArrays):
-    """First values for a fit of photographs.
-
-    Attributes:
-        scene: The images, with the mount that fits.
-        placed: Approximate poses of camera and board.
-    """
+    """First values for a fit of photographs: the images, with the mount that fits, and camera and board about there."""
 
     scene: BoardScene
     placed: HandEyePlacement

@@ -98,10 +98,9 @@ class DeltaGeometry:
         )
 
     def nozzle(self, down: FloatArray) -> FloatArray:
-        """Return the nozzle's position, (n, 3) [m]: the lower intersection of the three arms; NaN without one.
+        """Return the nozzle's position, (n, 3) [m], after a travel of the carriages, (n, 3) [m].
 
-        Args:
-            down: Travel of the carriages, (n, 3) [m].
+        It is the lower intersection of the three arms; NaN without one.
         """
         points = np.tile(self.tops, (len(down), 1, 1))
         points[:, :, 2] -= down

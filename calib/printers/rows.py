@@ -70,9 +70,7 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     to the millimetre, and equal endstops. If distances were measured, all arms have the mean length, rounded to the
     millimetre. Without rows, and for arms that no distance has changed, the file's numbers are used.
 
-    Args:
-        printer: The printer.
-        arm: Designed or measured length of the arms [m], or None.
+    A designed or measured length `arm` of the arms [m] replaces theirs.
 
     Raises:
         DataError: The file's arms are not equal, and none is stated.
@@ -168,9 +166,6 @@ def left_out_errors(printer: PrinterFile) -> tuple[FloatArray, FloatArray] | Non
     in turn. Nine numbers are estimated from the others and the priors of `calib.printers.linear_delta`, by one step
     from the saved settings (rows are almost linear within a millimetre). The error over its standard deviation is
     Student's t, with the degrees of freedom of the other rows.
-
-    Args:
-        printer: The printer; all of its rows must be reachable.
 
     Returns:
         (n_rows,) [m], and (n_rows,) probabilities. None if rows are too few, or arms are not equal.

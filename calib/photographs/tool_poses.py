@@ -163,17 +163,19 @@ def image_names(table: Table) -> list[str]:
     return names
 
 
-def match_images(seen: Sequence[str], names: Sequence[str], where: str) -> tuple[list[int], list[str]]:
-    """Return the row of each image with a board, and a remark on every image without a row; `where` names the rows.
+def poses_of_images(
+    seen: Sequence[str], path: Path | str, *, robot: Robot | None, angles: str | None
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """Return the tool at each image that has a row, (4, 4) [m], in the order of the rows, and remarks on the others.
 
     Raises:
-        DataError: No image has a row.
+        DataError: No image has a row; or see `read_tool_poses`.
     """
-    row = {name: k for k, name in enumerate(names)}
-    remarks = [f"{name}: {where} has no pose of this image{nearest(name, names)}" for name in seen if name not in row]
+    names, tool = read_tool_poses(path, robot=robot, angles=angles)
+    remarks = [f"{name}: {path} has no pose of this image{nearest(name, names)}" for name in seen if name not in names]
     if len(remarks) == len(seen):
         raise DataError(
-            f"{where}: no row names any of the photographs ({', '.join(list(seen)[:3])}, ...); its rows are called"
-            f" {', '.join(list(names)[:3])}, ..."
+            f"{path}: no row names any of the photographs ({', '.join(list(seen)[:3])}, ...); its rows are called"
+            f" {', '.join(names[:3])}, ..."
         )
-    return [row[name] for name in seen if name in row], remarks
+    return {name: pose for name, pose in zip(names, tool, strict=True) if name in set(seen)}, remarks

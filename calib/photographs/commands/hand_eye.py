@@ -33,7 +33,7 @@ from calib.photographs.mistakes import Mistake
 from calib.photographs.pages import exaggeration, figure
 from calib.photographs.pose_pairs import PosePairs, content_of_pairs, judge_pairs, report_pairs, solve_pairs
 from calib.photographs.scene import Mount, scene_of
-from calib.photographs.tool_poses import ANGLES, image_names, match_images, pose_columns, poses_of, read_tool_poses
+from calib.photographs.tool_poses import ANGLES, image_names, pose_columns, poses_of, poses_of_images
 from calib.pictures import installed
 
 _NO_POSES = (
@@ -181,13 +181,11 @@ def _pairs(
     table = read_table(path, {})
     places = pose_columns(table)
     if poses is not None and len(places) == 1:
-        seen = poses_of(table, next(iter(places.values())), angles)
-        marker_names = image_names(table)
-        names, tool = read_tool_poses(poses, robot=model, angles=angles)
-        chosen, remarks = match_images(marker_names, names, poses)
+        seen = dict(zip(image_names(table), poses_of(table, next(iter(places.values())), angles), strict=True))
+        tool, remarks = poses_of_images(list(seen), poses, robot=model, angles=angles)
         output.remarks([f"left out: {text}" for text in remarks])
-        kept = [marker_names.index(names[k]) for k in chosen]
-        return [names[k] for k in chosen], tool[chosen], seen[kept]
+        names = [name for name in seen if name in tool]
+        return names, np.array([tool[name] for name in names]), np.array([seen[name] for name in names])
     if poses is None and len(places) == 2:
         of_camera = [name for name in places if _OF_CAMERA.search(name)]
         if len(of_camera) != 1:
@@ -231,10 +229,9 @@ def _tool_poses(
     """The pose of the tool, (4, 4), at each image that has one, by name in the order of the rows."""
     seen = [image.name for image in detected_images]
     if poses is not None:
-        names, tool = read_tool_poses(poses, robot=model, angles=angles)
-        chosen, remarks = match_images(seen, names, poses)
+        tool, remarks = poses_of_images(seen, poses, robot=model, angles=angles)
         output.remarks([f"left out: {text}" for text in remarks])
-        return {names[k]: tool[k] for k in sorted(chosen)}
+        return tool
     if model is None or not photographs:
         raise InputError(_NO_POSES)
     names, values = joint_columns(photographs, seen)

@@ -299,12 +299,16 @@ def read_printer(path: Path | str, firmware: str) -> PrinterFile:
 def printer_table(printer: PrinterFile) -> str:
     """Return the printer's rows as a file of measurements; `2` marks columns of a distance's second place."""
     rows = printer.rows
-    down, values = (np.round(millimetres(part), 7) for part in (rows.places, rows.values))
+
+    def cells(values: FloatArray) -> list[float]:
+        return [round(value, 7) for value in millimetres(values).tolist()]
+
     columns: list[tuple[str, Sequence[object]]] = [("pose", rows.names)]
     for copy, suffix in enumerate(("", "2")):
-        columns += [(f"{tower}{suffix} [mm]", down[:, copy, k].tolist()) for k, tower in enumerate(TOWERS)]
+        columns += [(f"{tower}{suffix} [mm]", cells(rows.places[:, copy, k])) for k, tower in enumerate(TOWERS)]
     for shown, column in ((rows.is_height, "probe_height [mm]"), (~rows.is_height, "caliper_distance [mm]")):
-        columns += [(column, np.where(shown, values.astype(object), "").tolist())] if np.any(shown) else []
+        read = [cell if own else "" for cell, own in zip(cells(rows.values), shown, strict=True)]
+        columns += [(column, read)] if np.any(shown) else []
     return format_table(
         columns, [f"from {printer.path}: distances of the carriages below their switches, and measurements there"]
     )

@@ -44,12 +44,10 @@ def shapes(board: Board) -> tuple[FloatArray, FloatArray]:
         DescriptionError: There is no such dictionary.
     """
     none = np.zeros((0, 3))
-    if board.kind == "circles":
-        radius = _DOT * (board.spacing or 0.0)
-        return np.zeros((0, 4)), np.array([(x, y, radius) for x, y, _ in board.points().values()])
-    if board.kind == "dots":
-        radii = (board.spacing or 0.0) * np.where(np.arange(board.columns * board.rows) == 0, _LARGE_DOT, _SMALL_DOT)
+    if board.spacing is not None:
         places = np.array(list(board.points().values()))[:, :2]
+        first, others = (_DOT, _DOT) if board.kind == "circles" else (_LARGE_DOT, _SMALL_DOT)
+        radii = board.spacing * np.where(np.arange(len(places)) == 0, first, others)
         return np.zeros((0, 4)), np.column_stack([places, radii])
     if board.kind == "chessboard":
         return _squares(board, lambda i, j: (i + j) % 2 == 0), none

@@ -157,11 +157,6 @@ class PlacedInterpretation:
     reading: Interpretation
     aligned: Alignment
 
-    @property
-    def miss(self) -> float:
-        """Root mean square of its misses [m]."""
-        return self.aligned.rms_distance
-
 
 def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     """Return the readings that fit the nominal robot, the best first; several if only a fit can decide.
@@ -180,19 +175,20 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
         )
     limit = _FIT * spread
     for readings in _single_twists(robot, pairs, usual):
-        if min(one.miss for one in tried) <= limit:
+        if min(one.aligned.rms_distance for one in tried) <= limit:
             break
         tried += _place(robot, pairs, readings)
-    best = min(tried, key=lambda one: one.miss)
-    if best.miss > limit:
+    best = min(tried, key=lambda one: one.aligned.rms_distance)
+    least = best.aligned.rms_distance
+    if least > limit:
         raise DataError(
             f"{pairs.path}: no reading of the columns brings the poses near {robot.path}; the nearest"
-            f" ({best.reading.words()}) leaves {quantity_text(best.miss, 'mm', '.0f')}. Check that it is this robot,"
-            " that all rows have one tool and one base, and that joint values and pose of a row belong together"
+            f" ({best.reading.words()}) leaves {quantity_text(least, 'mm', '.0f')}. Check that it is this robot, that"
+            " all rows have one tool and one base, and that joint values and pose of a row belong together"
         )
     alike: list[PlacedInterpretation] = []
-    for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), one.miss)):
-        near = one.miss < min(_ALIKE * best.miss, limit)
+    for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), one.aligned.rms_distance)):
+        near = one.aligned.rms_distance < min(_ALIKE * least, limit)
         if near and not any(_are_same(pairs, one.reading, other.reading) for other in alike):
             alike.append(one)
     if len(alike) > _MOST and HEADERS.get(pairs.words):

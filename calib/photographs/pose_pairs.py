@@ -105,11 +105,6 @@ class PosePairs(ReadOnlyArrays):
     distance: float
     contains: dict[Uncertainty, Contributions]
 
-    @property
-    def is_determined(self) -> bool:
-        """Whether every component of the camera's pose is determined."""
-        return not np.any(self.camera.open)
-
 
 def solve_pairs(
     names: Sequence[str], tool: FloatArray, seen: FloatArray, mounts: tuple[Mount, ...] = ("tool", "base")

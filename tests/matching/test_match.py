@@ -235,7 +235,7 @@ def test_a_scara_is_placed_and_fitted(tmp_path: Path, n: int, lean: float) -> No
         path = scara_pairs(tmp_path / "p.csv", q, noisy)
         robot = calib.load(stock)
         best = candidates(robot, read_pairs(path, robot.joint_names))[0]
-        assert best.miss < most
+        assert best.aligned.rms_distance < most
         assert np.linalg.norm((best.aligned.base @ np.linalg.inv(base))[:2, :2] - np.eye(2)) < 5e-3 + 5 * lean
     if n == 30:
         matched = calib.match(stock, scara_pairs(tmp_path / "p.csv", q, T))
@@ -317,7 +317,7 @@ def test_of_rotations_about_one_axis_every_form_is_tried(tmp_path: Path, seed: i
     o[2, 3] = np.pi
     T = scara_poses(q, o) @ place(np.array([0.0, 0.0, 150.0, 180.0, 0.0, 0.0]))
     path = scara_pairs(tmp_path / "p.csv", q, T, "j1,j2,j3,j4,x,y,z,rx,ry,rz", digits=(5, 3, 5))
-    assert only_reading(stock, path).miss < 2e-3
+    assert only_reading(stock, path).aligned.rms_distance < 2e-3
 
 
 @pytest.mark.parametrize(

@@ -208,7 +208,7 @@ def _write_pairs(result: PosePairs, frames: Frames, out: str, output: Output) ->
     output.say(report_pairs(result, frames))
     data = content_of_pairs(result, frames)
     written = {"hand_eye.json": json_file(data)}
-    whole = result.is_determined and (judgement.grade != "FAIL" or output.force)
+    whole = not np.any(result.camera.open) and (judgement.grade != "FAIL" or output.force)
     if whole:
         written |= transform_files(result.camera.pose, result.mount, frames)
     write_folder(out, written, force=output.force)

@@ -204,29 +204,6 @@ def test_intrinsics_are_read_from_opencv_and_ros(tmp_path):
         assert camera.image == (1280, 960)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (ROS.replace("plumb_bob", "equidistant"), "fish-eye"),
-        (ROS.replace("plumb_bob", "cubic"), "'cubic' is not known"),
-        (ROS.replace("cols: 5, data: [-0.1, 0.05, 0.001, -0.002, 0.01]", "cols: 6, data: [0, 0, 0, 0, 0, 0.1]"), "k4"),
-        (ROS.replace("900, 0, 640", "900, 3, 640"), "skew"),
-        (ROS.replace("900, 0, 640", "-900, 0, 640"), "positive"),
-        (ROS.replace("0, 0, 1]", "0, 0]"), "a camera matrix has 9"),
-        (ROS.replace("900", "nine"), "not a number"),
-        ("a: [1", "not valid YAML"),
-        ("just text", "holds no intrinsics"),
-        ("image_width: 12\n", "has no camera_matrix"),
-    ],
-)
-def test_bad_intrinsics_are_one_line(tmp_path, text, words):
-    (tmp_path / "camera.yaml").write_text(text)
-    with pytest.raises(DescriptionError) as error:
-        read_camera(tmp_path / "camera.yaml")
-    assert words in str(error.value)
-    assert "\n" not in str(error.value)
-
-
 def test_all_ways_to_write_a_rotation_give_the_same(tmp_path):
     rotation = cv2.Rodrigues(np.array([0.3, -0.4, 0.5]))[0]
     r = Rotation.from_matrix(rotation)
@@ -249,9 +226,20 @@ def test_all_ways_to_write_a_rotation_give_the_same(tmp_path):
         assert np.allclose(poses[0, :3, 3], [0.1, 0.2, 0.3])
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
+BAD_FILES = {
+    read_camera: [
+        (ROS.replace("plumb_bob", "equidistant"), "fish-eye"),
+        (ROS.replace("plumb_bob", "cubic"), "'cubic' is not known"),
+        (ROS.replace("cols: 5, data: [-0.1, 0.05, 0.001, -0.002, 0.01]", "cols: 6, data: [0, 0, 0, 0, 0, 0.1]"), "k4"),
+        (ROS.replace("900, 0, 640", "900, 3, 640"), "skew"),
+        (ROS.replace("900, 0, 640", "-900, 0, 640"), "positive"),
+        (ROS.replace("0, 0, 1]", "0, 0]"), "a camera matrix has 9"),
+        (ROS.replace("900", "nine"), "not a number"),
+        ("a: [1", "not valid YAML"),
+        ("just text", "holds no intrinsics"),
+        ("image_width: 12\n", "has no camera_matrix"),
+    ],
+    read_tool_poses: [
         ("image,x,y,qx,qy,qz,qw\na,0,0,0,0,0,1\n", "no column 'z'"),
         ("image,x,y,z\na,0,0,0\n", "no rotation"),
         ("image,x,y,z,qx,qy,qz,qw\na,0,0,0,0,0,1,1\n", "not a quaternion of length 1"),
@@ -260,12 +248,16 @@ def test_all_ways_to_write_a_rotation_give_the_same(tmp_path):
         ("image,x,y,z,qx,qy,qz,qw\na,0,0,0,0,0,0,1\na,0,0,0,0,0,0,1\n", "'a' comes twice"),
         ("image,x,y,z,qx,qy,qz,qw\na,zero,0,0,0,0,0,1\n", "zero"),
     ],
-)
-def test_bad_poses_are_one_line(tmp_path, text, words):
-    (tmp_path / "poses.csv").write_text(text)
-    with pytest.raises(DataError) as error:
-        read_tool_poses(tmp_path / "poses.csv")
+}
+
+
+@pytest.mark.parametrize(("read", "text", "words"), [(read, *case) for read, of in BAD_FILES.items() for case in of])
+def test_bad_cameras_and_poses_are_one_line(tmp_path, read, text, words):
+    (tmp_path / "file").write_text(text)
+    with pytest.raises((DescriptionError, DataError)) as error:
+        read(tmp_path / "file")
     assert words in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 def test_images_that_cannot_be_read_are_said_and_the_rest_goes_on(tmp_path, run_calib):

@@ -525,6 +525,9 @@ def test_offsets_of_a_mount_are_shown_in_arc_seconds_and_no_positions(tmp_path):
     assert {unit for _, unit in words.values()} == {"arcsec"}
     assert float(words["IE"][0]) == pytest.approx(STARS["IE"], abs=30.0)
     assert position_uncertainty_table(fit) == {}
+    for other, over_places in ((fit, False), (fit_of(sighted, tmp_path), True)):  # a mount turns about one place
+        charts = [chart.name for chart in error_charts(other, scene_of_fit(other))]
+        assert any("planes" in name for name in charts) == over_places
 
 
 def test_a_gain_of_the_size_that_the_description_expects_is_no_scaled_joint(tmp_path):
@@ -534,13 +537,6 @@ def test_a_gain_of_the_size_that_the_description_expects_is_no_scaled_joint(tmp_
     more = replace(read, values=read.values + 0.015 * data.joints)
     fit = calib.fit(data.robot, replace(data, readings={"encoder": more}))
     assert "joint_scaled" not in fit.verdict.to_dict()["codes"]
-
-
-def test_errors_of_a_mount_that_turns_about_one_place_are_not_drawn_over_places(tmp_path):
-    for case, drawn_over_places in ((pointed, False), (sighted, True)):
-        fit = fit_of(case, tmp_path)
-        charts = [chart.name for chart in error_charts(fit, scene_of_fit(fit))]
-        assert any("planes" in name for name in charts) == drawn_over_places
 
 
 @pytest.mark.quick(0)

@@ -156,7 +156,10 @@ def calibrate(
     tell = progress or (lambda done, total: None)
     if lens == "given" and intrinsics is None:
         raise DataError("no intrinsics are given, so the lens cannot stay as given; give them with --camera FILE")
-    scene = _sort_points(scene)
+    order = np.lexsort(
+        (scene.pixels[:, 1], scene.pixels[:, 0], scene.image)
+    )  # so that sums are equal to the last digit
+    scene = replace(scene, image=scene.image[order], body=scene.body[order], pixels=scene.pixels[order])
     first, begin = _first_start(scene, intrinsics, mounts)
     begin, points = fitting_points(begin, first)
     tell(1, 5)
@@ -196,12 +199,6 @@ def _first_start(
             if not begun:
                 raise
     return min(begun, key=lambda each: each[1].typical)
-
-
-def _sort_points(scene: BoardScene) -> BoardScene:
-    """The same images with their points in a fixed order, so that sums are equal to the last digit."""
-    order = np.lexsort((scene.pixels[:, 1], scene.pixels[:, 0], scene.image))
-    return replace(scene, image=scene.image[order], body=scene.body[order], pixels=scene.pixels[order])
 
 
 def _gain(before: HandEyeFit, after: HandEyeFit) -> float:

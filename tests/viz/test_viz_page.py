@@ -230,8 +230,7 @@ def test_many_points_are_drawn_smaller():
 @pytest.mark.parametrize(("names", "places"), [(("0", "7", "15"), [0, 7, 15]), (("a", "b", "15"), [1, 2, 3])])
 def test_images_are_drawn_at_their_numbers_and_others_in_order(names, places):
     scene = dataclasses.replace(camera_scenes.scene(3), names=names)
-    pixels, rms = np.zeros((len(scene.pixels), 2)), lambda _: np.ones(3)
-    own = {"scene": scene, "pixels": pixels, "board": pixels, "left_out": SimpleNamespace(pixels=pixels)}
-    result = SimpleNamespace(**own, rms_by_image=rms)
+    pixels = np.zeros((len(scene.pixels), 2))
+    result = SimpleNamespace(scene=scene, pixels=pixels, board=pixels, left_out=SimpleNamespace(pixels=pixels))
     by_image, *_ = _image_charts(result).by_place["images"]
     assert by_image.panels[0]["layers"][0]["x"] == places

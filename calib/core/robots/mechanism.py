@@ -99,6 +99,13 @@ def rigid(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
     return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
 
 
+def perpendicular_axes(axis: FloatArray) -> FloatArray:
+    """Return two unit vectors perpendicular to a unit vector (3,) and to each other, (2, 3)."""
+    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(axis, first)])
+
+
 def view(places: Mapping[str, int], a: str, b: str) -> RelativeFrame:
     """Return place b seen from place a, from the joint index of each place."""
     return RelativeFrame(f"{a}-{b}", places[a], places[b], True, (0, 1, 2, 3, 4, 5))

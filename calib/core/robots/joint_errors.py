@@ -49,10 +49,9 @@ def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanis
         sigma = None if section.sigma is None else quantity(section.sigma, unit, f"{place}, sigma")
         if sigma is not None and sigma <= 0:
             raise InputError(f"{place}: sigma must be positive; leave the term out to have none")
-        stroke = joint.upper - joint.lower
-        if dimension == "length" and np.isfinite(stroke) and stroke > 0:
-            section = section.with_stroke(float(stroke))
-        return TERMS[section.term].from_section(Joint(name, dimension, mechanism.actuated), section, sigma)
+        between = float(joint.upper - joint.lower)
+        stroke = between if dimension == "length" and 0 < between < np.inf else None
+        return TERMS[section.term].from_section(Joint(name, dimension, mechanism.actuated, stroke), section, sigma)
     except (InputError, ValueError) as error:
         text = str(error)
         raise DescriptionError(text if text.startswith(where) else f"{place}: {text}") from None

@@ -45,10 +45,6 @@ class TermSection(Section):
     term: str
     sigma: Quantity | None = None
 
-    def with_stroke(self, stroke: float) -> TermSection:
-        """Return the entry for a prismatic joint with this stroke [m]; the same entry if the term needs no stroke."""
-        return self
-
 
 @dataclass(frozen=True)
 class Condition:
@@ -90,11 +86,13 @@ class Joint:
         name: Its name.
         dimension: Whether it turns or slides.
         actuated: Names of all actuated joints, in the order of commands.
+        stroke: Length between the limits of a joint that slides, if they are stated [m].
     """
 
     name: str
     dimension: Dimension
     actuated: tuple[str, ...]
+    stroke: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,23 +172,24 @@ class Context(ReadOnlyArrays):
 class JointTerm(ABC):
     """One term of one joint's error. A class defines its columns, or a formula for them.
 
+    Attributes of the class, with their defaults:
+        section: Keys of its entry in a robot description.
+        needs_torque: Whether it depends on `Context.torque`.
+        tilts: Whether it tilts the link after its joint, instead of moving the joint.
+        adds: Whether its columns times its coefficients are errors of joints; if not, it acts on those of other terms,
+            and its columns are the derivative of these by its coefficients.
+        cause: Its name in an error budget.
+        depends_on: Conditions that its columns change with. With the direction of approach, columns change their sign.
+        per: Denominator of a coefficient's unit, such as `per hour`.
+        follows_command: Whether its columns change with the command of its joint, so that one that did not move does
+            not show it.
+        counts_turns: Whether a whole turn of the joint that it follows changes its columns.
+        in_auto: Whether it is tried if a robot's terms are not named.
+        differs: Whether its size differs between joints: a ratio or a belt is wrong at one of them.
+
     Attributes:
-        section: Keys of its entry in a robot description (class attribute).
         joint: The joint.
         parameters: Its coefficients.
-        needs_torque: Whether it depends on `Context.torque` (class attribute).
-        tilts: Whether it tilts the link after its joint, instead of moving the joint (class attribute).
-        adds: Whether its columns times its coefficients are errors of joints; if not, it acts on those of other terms,
-            and its columns are the derivative of these by its coefficients (class attribute).
-        cause: Its name in an error budget (class attribute).
-        depends_on: Conditions that its columns change with (class attribute). With the direction of approach, columns
-            change their sign.
-        per: Denominator of a coefficient's unit, such as `per hour` (class attribute).
-        follows_command: Whether its columns change with the command of its joint, so that one that did not move does
-            not show it (class attribute).
-        counts_turns: Whether a whole turn of the joint that it follows changes its columns (class attribute).
-        in_auto: Whether it is tried if a robot's terms are not named (class attribute).
-        differs: Whether its size differs between joints: a ratio or a belt is wrong at one of them (class attribute).
     """
 
     section: ClassVar[type[TermSection]] = TermSection
@@ -241,11 +240,7 @@ class JointTerm(ABC):
         return section.joint in ("all", self.joint)
 
     def driven_joint_names(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
-        """Return the names of the driven joints whose errors depend on the term.
-
-        Args:
-            dimensions: Dimensions of the actuated joints, by name.
-        """
+        """Return the names of the driven joints whose errors depend on the term; `dimensions` of joints by name."""
         return tilts_of(self.joint, dimensions[self.joint]) if self.tilts else (self.joint,)
 
     def driving_joint(self, actuated: tuple[str, ...]) -> str:

@@ -75,8 +75,7 @@ class UrdfText:
         source: The file's bytes.
         path: Its file, for messages.
         name: The robot's name.
-        links: Link names in file order.
-        joints: Joints in file order.
+        links, joints: In file order.
         root_span: Bytes of the `<robot>` start tag.
         end: Byte at which `</robot>` starts.
         foreign: Motors and loops of a file of another format.

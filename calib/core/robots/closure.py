@@ -82,10 +82,10 @@ def motion(
     swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
     mapping = kinematics.motion_map(swept, kinematics.motion_rows(swept, (target,), angular=True))
 
+    signs, reduced = mechanism.direction_signs(target), swept.shared.reduced
+
     def derivative_by(select: FloatArray) -> FloatArray:
-        coordinates = kinematics.Coordinates.from_signs(
-            swept.reduced, mechanism.direction_signs(target)[None, swept.reduced.joints], select
-        )
+        coordinates = kinematics.Coordinates.from_signs(reduced, signs[None, reduced.joints], select)
         return kinematics.joint_derivative(swept, mapping, coordinates)
 
     jacobian = derivative_by(mechanism.select_actuated)

@@ -90,8 +90,8 @@ def check_inclinometers(description: Description, mechanism: Mechanism, where: s
         support = mechanism.support[mechanism.frames[section.frame]]
         for name in section.joints:
             if name not in mechanism.actuated:
-                close = nearest(name, mechanism.actuated)
-                raise DescriptionError(f"{place}.joints: no joint '{name}' in name_mot{close}")
+                hint = nearest(name, mechanism.actuated)
+                raise DescriptionError(f"{place}.joints: no joint '{name}' in name_mot{hint}")
             if name in taken:
                 raise DescriptionError(f"{place}.joints: '{name}' is read by '{taken[name]}' already")
             if mechanism.dimensions[name] != "angle":
@@ -99,14 +99,18 @@ def check_inclinometers(description: Description, mechanism: Mechanism, where: s
             if not support[mechanism.origin_names.index(name)]:
                 raise DescriptionError(f"{place}.joints: '{name}' does not move {section.frame}; name one that does")
             taken[name] = sensor
-        if np.any(support @ mechanism.select_passive):
+        if _hangs_in_loop(mechanism, section.frame):
             raise DescriptionError(f"{place}.frame: {section.frame} hangs in a loop; name a link before the loop")
-    for sensor, section in description.inclinometers.items():
-        later = list(description.inclinometers)[list(description.inclinometers).index(sensor) + 1 :]
+    sensors = list(description.inclinometers)
+    for k, (sensor, section) in enumerate(description.inclinometers.items()):
         support = mechanism.support[mechanism.frames[section.frame]]
         for name, of in taken.items():
-            if of in later and support[mechanism.origin_names.index(name)]:
+            if of in sensors[k + 1 :] and support[mechanism.origin_names.index(name)]:
                 raise DescriptionError(f"{where}: inclinometers: list '{of}' before '{sensor}': it moves '{sensor}'")
+
+
+def _hangs_in_loop(mechanism: Mechanism, frame: str) -> bool:
+    return bool(np.any(mechanism.support[mechanism.frames[frame]] @ mechanism.select_passive))
 
 
 def turned_joints(
@@ -159,7 +163,9 @@ def accelerations(robot: RobotData, joints: FloatArray, context: Context) -> tup
     if not robot.turns_gravity:
         return STANDARD * down, ()
     turns = robot.values[robot.coefficients][-2:]
-    (first, of_first), (second, of_second) = (_turn(k, t) for k, t in zip(section.axes, turns, strict=True))
+    axes = np.eye(3)[list(section.axes)]
+    first, second = (pin.exp3(angle * axis) for angle, axis in zip(turns, axes, strict=True))
+    of_first, of_second = (pin.skew(axis) @ turn for axis, turn in zip(axes, (first, second), strict=True))
     turned = STANDARD * down @ second.T
     return turned @ first.T, (turned @ of_first.T, STANDARD * down @ of_second.T @ first.T)
 
@@ -194,9 +200,7 @@ def contradiction_angles(robot: RobotData, q: FloatArray, context: Context) -> F
     section = description.gravity
     if section is None or context.down is None:
         return nothing
-    if section.frame is not None and np.any(
-        mechanism.support[mechanism.frames[section.frame]] @ mechanism.select_passive
-    ):
+    if section.frame is not None and _hangs_in_loop(mechanism, section.frame):
         return nothing
     names = tuple(description.setups) or ("",)
     stated = np.array(["down" in section.model_fields_set or name in section.setups for name in names])
@@ -210,13 +214,6 @@ def contradiction_angles(robot: RobotData, q: FloatArray, context: Context) -> F
 def _open_joints(mechanism: Mechanism, q: FloatArray) -> FloatArray:
     """All joints at commands q (n, n_actuated), passive ones at zero, (n, n_joints) [m or rad]."""
     return mechanism.all_joints(mechanism.without_tilts(q), np.zeros((len(q), len(mechanism.passive))))
-
-
-def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:
-    """The turn about an axis x, y or z (0, 1, 2), and its derivative, (3, 3) each."""
-    cross = np.cross(np.eye(3)[axis], np.eye(3)).T
-    rotation = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-    return rotation, cross @ rotation
 
 
 def turn_columns(robot: RobotData, q: FloatArray, context: Context, slopes: tuple[FloatArray, ...]) -> FloatArray:

@@ -51,7 +51,7 @@ def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
 
 def twists_in_world(swept: Sweep, joints: IntArray, twists: FloatArray) -> FloatArray:
     """Return Ad(T_before) xi, (n, 6, n_twists), of twists xi (n_twists, 6) before origins, `joints` (n_twists,)."""
-    before, (n, k) = swept.reduced.parents[joints], (len(swept.poses), len(joints))
+    before, (n, k) = swept.shared.reduced.parents[joints], (len(swept.poses), len(joints))
     frames, at = np.unique(before, return_inverse=True)
     spread = np.zeros((len(frames), 3, 2, k))  # R xi of all frames and twists is one product
     spread[at, :, :, np.arange(k)] = twists.reshape(k, 2, 3).transpose(0, 2, 1)
@@ -205,14 +205,9 @@ class Sweep:
     jacobian: FloatArray | None
 
     @property
-    def reduced(self) -> JointSubset:
-        """The joints that count."""
-        return self.shared.reduced
-
-    @property
     def index(self) -> IntArray:
         """Position of a joint index in the second axis of `rotation` and `translation`, (n_joints + 1,)."""
-        return self.reduced.places
+        return self.shared.reduced.places
 
     @cached_property
     def rotation(self) -> FloatArray:

@@ -199,7 +199,7 @@ class Mechanism(ReadOnlyArrays):
         return self._with(forgotten=("placements", "_models"), model=model)
 
     def reduced_to(self, pairs: tuple[RelativeFrame, ...]) -> JointSubset:
-        """Return the part of the model that decides these pairs."""
+        """Return the part of the model that decides these pairs, the same for all placements of a mechanism."""
         if pairs not in self._reductions:
             signs = np.array([self.direction_signs(pair) for pair in pairs]).reshape(-1, self.n_joints)
             moving, frames = signs.any(axis=0), self.model.parents.tolist()
@@ -224,12 +224,10 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def _reductions(self) -> dict[tuple[RelativeFrame, ...], JointSubset]:
-        """Cache of `reduced_to`, for all placements of a mechanism."""
         return {}
 
     @cached_property
     def _models(self) -> dict[tuple[RelativeFrame, ...], pin.Model]:
-        """Cache of `model_around`."""
         return {}
 
     @cached_property
@@ -298,10 +296,13 @@ class Mechanism(ReadOnlyArrays):
         pairs = self.targets + self.views + self.loops
         return np.any([self.direction_signs(pair) != 0 for pair in pairs], axis=0)
 
+    def _slides(self, names: tuple[str, ...]) -> BoolArray:
+        return np.array([self.dimensions[name] == "length" for name in names], dtype=bool)
+
     @cached_property
     def turning(self) -> BoolArray:
         """Mask of the actuated joints that turn, (n_actuated,)."""
-        return np.array([self.dimensions[name] == "angle" for name in self.actuated], dtype=bool)
+        return ~self._slides(self.actuated)
 
     @cached_property
     def joint_scale(self) -> FloatArray:
@@ -311,8 +312,7 @@ class Mechanism(ReadOnlyArrays):
     @cached_property
     def driven_scale(self) -> FloatArray:
         """Scale of each driven joint, as of an actuated one, (n_driven,)."""
-        lengths = [self.dimensions[name] == "length" for name in self.driven]
-        return np.where(np.array(lengths, dtype=bool), self.length, 1.0)
+        return np.where(self._slides(self.driven), self.length, 1.0)
 
     @cached_property
     def passive_scale(self) -> FloatArray:
@@ -327,4 +327,4 @@ class Mechanism(ReadOnlyArrays):
     @cached_property
     def is_metre_column(self) -> BoolArray:
         """Mask of the passive joints that slide, (n_passive,)."""
-        return np.array([self.dimensions[name] == "length" for name in self.passive], dtype=bool)
+        return self._slides(self.passive)

@@ -52,7 +52,7 @@ def test_frames_seen_from_each_other_are_those_of_the_whole_tree(case):
 
 def test_twists_in_the_world_serve_every_frame_as_pinocchios_regressor_would(case):
     mechanism, joints, pairs, swept = case
-    left = swept.reduced.joints
+    left = swept.shared.reduced.joints
     before = mechanism.twists_before(np.eye(6 * mechanism.n_joints))[left]  # of every origin twist
     origins, columns = np.nonzero(np.any(before != 0, axis=1))
     of_origins = np.zeros((len(joints), 6, before.shape[2]))
@@ -77,7 +77,7 @@ def test_joints_of_other_branches_leave_the_model(tmp_path):
     joints = mechanism.all_joints(there.actuated, there.passive)
     swept = kinematics.sweep(mechanism, joints, mechanism.targets)
     on_the_way = np.flatnonzero(mechanism.direction_signs(mechanism.targets[0]))
-    assert list(swept.reduced.joints) == list(on_the_way)
+    assert list(swept.shared.reduced.joints) == list(on_the_way)
     assert len(on_the_way) < mechanism.n_joints / 4
     assert swept.rotation.shape == (len(joints), len(on_the_way) + 1, 3, 3)
     columns = linearise(robot, there).jacobian

@@ -7,7 +7,6 @@ import pytest
 import calib
 from calib.core.robots import kinematics
 from calib.core.robots.jacobian import linearise
-from calib.core.robots.mechanism import flat_poses
 from medrue import robot_file
 from medrue.workspace import target_workspace
 from tests.urdf_trees import described, random_tree
@@ -83,15 +82,6 @@ def test_joints_of_other_branches_leave_the_model(tmp_path):
     columns = linearise(robot, there).jacobian
     assert np.isfinite(columns).all()
     assert np.count_nonzero(np.any(columns, axis=(0, 1, 2))) == len(robot.parameters)  # free are those on the way
-
-
-def test_the_view_of_poses_follows_pinocchio():
-    model = pin.buildSampleModelManipulator()
-    data = model.createData()
-    seen = flat_poses(data.oMi)
-    pin.forwardKinematics(model, data, pin.neutral(model) + 0.3)
-    for k, pose in enumerate(data.oMi):
-        assert np.array_equal(seen[k], [*pose.rotation.T.ravel(), *pose.translation])
 
 
 @pytest.mark.parametrize("n", [0, 1, 31, 95, 96, 97, 1000])

@@ -73,10 +73,3 @@ def test_a_full_pose_home_that_is_turned_apart_is_refused_in_degrees(tmp_path):
         calib.DescriptionError, match=r"open by \d\.\d+ mm and 5\.\d+ deg; .*to \d+ mm and 3 deg or better"
     ):
         calib.load(path)
-
-
-def test_nothing_in_an_assembly_mode_can_be_written_to(medrue):
-    mode = medrue.mode
-    for array in (mode.actuated, mode.passive, mode.signs, *mode.block_rows, *mode.block_columns):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1

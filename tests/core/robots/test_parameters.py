@@ -142,18 +142,6 @@ def test_an_edited_component_changes_its_number_and_no_other_byte(tmp_path):
     assert robot.with_parameters({"base.x": 3.0, "tip.x": 0.5}).calibrated_urdf() == source  # not in the URDF
 
 
-def test_twist_of_edit_is_the_derivative_of_the_origin():
-    generator = np.random.default_rng(6)
-    rpy, xyz = np.array([0.3, -1.2, 2.0]), np.array([0.1, 0.2, 0.3])
-    d_xyz, d_rpy = generator.normal(size=(3, 4)), generator.normal(size=(3, 4))
-    twist = twist_of_edit(rpy, d_xyz, d_rpy)
-    here = Origin(xyz, rpy).placement
-    for k in range(4):
-        ends = [Origin(xyz + s * d_xyz[:, k], rpy + s * d_rpy[:, k]).placement for s in (STEP, -STEP)]
-        forward, backward = (pin.log6(here.actInv(end)).vector for end in ends)
-        assert np.abs(twist[:, k] - (forward - backward) / (2 * STEP)).max() < 1e-8
-
-
 def test_an_unknown_parameter_names_the_nearest(medrue):
     with pytest.raises(ParameterError, match=r"^parameters: no parameter 'L1l'; did you mean 'L\d1'\?$"):
         index_of(medrue.parameters, "L1l")

@@ -126,37 +126,6 @@ def test_a_direction_is_found_from_data_of_other_code(tmp_path):
     assert calib.fit(described(tmp_path, "{}", "sigma: 0.01 mm\n"), data).sigma > 2 * fit.sigma
 
 
-@pytest.mark.quick(1)
-@pytest.mark.parametrize("way", ["wall", "ceiling", "setups", "visits"])
-def test_unseen_poses_are_predicted_with_the_direction_and_not_without(tmp_path, way):
-    """By other code: a soft arm on a wall, on a ceiling, in three mountings, on a base that tilts by up to 30 deg."""
-    rng = np.random.default_rng(9)
-    q, given = rng.uniform(-1.2, 1.2, (60, 3)), np.array([8e-5, 6e-5, 9e-5])
-    names = np.array(["floor", "wall", "ceiling"])[np.arange(60) % 3]
-    mounted = {"floor": [0, 0, -1], "wall": [1, 0, 0], "ceiling": [0, 0, 1]}
-    down = np.array([mounted[way if way in mounted else name] for name in names])
-    if way == "visits":
-        down = some_directions(60, 8)
-    points = np.array([centres(row)[4] for row in q + given * torques(q, down)])
-    measured = points + 1e-5 * rng.standard_normal((60, 3))
-    more = {"visits": {"gravity_x,gravity_y,gravity_z": down}, "setups": {"setup": list(names)}}.get(way, {})
-    for name, part in (("used", slice(40)), ("unseen", slice(40, None))):
-        parts = (column[part] for column in (q, measured, *more.values()))
-        write_table(tmp_path / f"{name}.csv", [HEADER, *more], *parts)
-    gravity = {"setups": "{setups: {wall: [1, 0, 0], ceiling: [0, 0, 1]}}", "visits": "{down: [0, 0, -1]}"}
-    off = {}
-    for key in (gravity.get(way, f"{{down: {mounted.get(way)}}}"), ""):
-        setups = "setups: {floor: [], wall: [], ceiling: []}\n" if way == "setups" else ""
-        stiff = ARM_YAML.replace("  - {joint: all, term: compliance}\n", "")
-        robot, _ = arm(tmp_path, f"{ARM_YAML}{setups}gravity: {key}\n" if key else stiff + setups)
-        used, unseen = (calib.read_measurements(tmp_path / f"{name}.csv", robot) for name in ("used", "unseen"))
-        fit = calib.fit(robot, used, sigma="0.01 mm")
-        off[key] = np.abs(fit.robot.positions(unseen.joints, unseen.conditions)[:, 0] - points[40:]).max()
-    known, ignored = off.values()
-    assert known < 3e-5  # three times the noise
-    assert ignored > 10 * known
-
-
 def test_functions_in_other_languages_have_the_direction(tmp_path):
     robot = described(tmp_path, f"{{down: {DOWN.tolist()}, sigma: 10 deg}}")
     values = robot.values.copy()

@@ -37,21 +37,21 @@ def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, 
         valid, missing = (*mechanism.actuated, "all"), f"{where}: joint term '{section.term}': no actuated joint"
         require_known(section.joint, valid, missing, DescriptionError)
         for name in mechanism.actuated if section.joint == "all" else (section.joint,):
-            terms.append(_term(section, name, joints[name], mechanism, where))
+            terms.append(_term(section, joints[name], mechanism, where))
     return (*terms, *gravity_turn(description, terms, mechanism))
 
 
-def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanism, where: str) -> JointTerm:
-    dimension = mechanism.dimensions[name]
+def _term(section: TermSection, joint: UrdfJoint, mechanism: Mechanism, where: str) -> JointTerm:
+    kind, name, dimension = TERMS[section.term], joint.name, mechanism.dimensions[joint.name]
     place = f"{where}: joint term '{section.term}' of '{name}'"
     try:
-        unit: Dimension = "angle" if TERMS[section.term].tilts else dimension
+        unit: Dimension = "angle" if kind.tilts else dimension
         sigma = None if section.sigma is None else quantity(section.sigma, unit, f"{place}, sigma")
         if sigma is not None and sigma <= 0:
             raise InputError(f"{place}: sigma must be positive; leave the term out to have none")
         between = float(joint.upper - joint.lower)
         stroke = between if dimension == "length" and 0 < between < np.inf else None
-        return TERMS[section.term].from_section(Joint(name, dimension, mechanism.actuated, stroke), section, sigma)
+        return kind.from_section(Joint(name, dimension, mechanism.actuated, stroke), section, sigma)
     except (InputError, ValueError) as error:
         text = str(error)
         raise DescriptionError(text if text.startswith(where) else f"{place}: {text}") from None

@@ -8,7 +8,6 @@ Each strongly connected part of C_p's pattern, such as each five-bar, has its ow
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -33,10 +32,6 @@ class LoopRows:
             for select in (mechanism.select_passive, mechanism.select_moving)
         )
 
-    def chunks(self, n: int) -> Iterator[slice]:
-        """Yield n poses in parts small enough for the processor's cache."""
-        return kinematics.chunks(n, kinematics.n_at_once(self.shared.reduced))
-
     def sweep_at(self, actuated: FloatArray, passive: FloatArray) -> kinematics.Sweep:
         """Return the kinematics of poses (n, n_actuated), (n, n_passive) [m or rad]."""
         joints = self.mechanism.all_joints(actuated, passive)
@@ -54,7 +49,7 @@ def residual(
     rows, n_passive = LoopRows(mechanism), len(mechanism.passive)
     values = np.empty((len(actuated), len(mechanism.loop_signs)))
     slope = np.empty((*values.shape, mechanism.select_moving.shape[1]))
-    for part in rows.chunks(len(actuated)):
+    for part in rows.shared.chunks(len(actuated)):
         swept = rows.sweep_at(actuated[part], passive[part])
         values[part], slope[part] = kinematics.gaps(swept), rows.passive_derivative(rows.moving, swept)
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]

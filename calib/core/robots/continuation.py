@@ -107,7 +107,7 @@ def _correct(
     """
     (enough, sure), (n, n_passive), loops = limits, passive.shape, LoopRows(mechanism)
     coordinates = loops.moving if len(slope) else loops.passive
-    for part in loops.chunks(n):
+    for part in loops.shared.chunks(n):
         index = np.arange(part.start, part.stop)
         last, before = np.full(len(index), np.inf), np.zeros(len(index))
         for _ in range(_MAX_NEWTON):

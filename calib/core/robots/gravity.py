@@ -148,12 +148,7 @@ def turned_joints(
 def accelerations(robot: RobotData, joints: FloatArray, context: Context) -> tuple[FloatArray, tuple[FloatArray, ...]]:
     """Return the acceleration by gravity at each visit in the root link's axes, and its derivative by each found turn.
 
-    Args:
-        joints: All joints of the nominal robot, (n, n_joints) [m or rad].
-        context: Readings of sensors, and their setups.
-
-    Returns:
-        (n, 3) [m/s^2], and as many for each turn [m/s^2 per rad].
+    (n, 3) each [m/s^2], [m/s^2 per rad]; `joints` are all of the nominal robot, (n, n_joints) [m or rad].
     """
     section = robot.description.gravity or GravitySection()
     down = _stated_direction(section, robot.description, len(joints), context)

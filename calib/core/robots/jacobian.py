@@ -29,7 +29,6 @@ from calib.core.robots.mechanism import Mechanism, RelativeFrame
 from calib.core.robots.robot import Robot
 
 _CHUNK_COPIED = 1 << 12  # chosen columns are copied twice
-_CHUNK_COMPILED = 256  # several times the number that compiled code computes at once; larger arrays need new pages
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +76,7 @@ def sweeps(
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     needed = pairs + mechanism.loops if loops else pairs
     shared = kinematics.SweepCache(mechanism, needed, kernels(mechanism, len(joints)))
-    size = kinematics.n_at_once(shared.reduced) if shared.functions is None else _CHUNK_COMPILED
-    for part in kinematics.chunks(len(joints), size):
+    for part in shared.chunks(len(joints)):
         yield part, kinematics.sweep(mechanism, joints[part], needed, shared, poses_only=needed == pairs)
 
 

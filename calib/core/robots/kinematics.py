@@ -34,12 +34,8 @@ from calib.core.robots.mechanism import JointSubset, Mechanism, RelativeFrame, f
 CHUNK = 64
 """Number of poses to compute at a time: their arrays stay in the processor's cache, without new pages of memory."""
 _JOINTS_AT_ONCE = 48 * CHUNK
+_CHUNK_COMPILED = 256  # several times the number that compiled code computes at once; larger arrays need new pages
 _AT_HOME = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
-
-
-def n_at_once(reduced: JointSubset) -> int:
-    """Return how many poses to compute at a time: more than `CHUNK` if few joints count."""
-    return max(CHUNK, _JOINTS_AT_ONCE // max(len(reduced.joints), 1))
 
 
 def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
@@ -162,6 +158,11 @@ class SweepCache:
         model = self.mechanism.model_around(self._pairs)
         data = pin.Data(model)
         return model, data, flat_poses(data.oMi)[1:], data.J.T
+
+    def chunks(self, n: int) -> Iterator[slice]:
+        """Yield n poses in parts small enough for the processor's cache: larger ones if few joints count."""
+        few_joints = max(CHUNK, _JOINTS_AT_ONCE // max(len(self.reduced.joints), 1))
+        return chunks(n, few_joints if self.functions is None else _CHUNK_COMPILED)
 
     @cached_property
     def tree(self) -> Any:

@@ -151,13 +151,10 @@ class Context(ReadOnlyArrays):
     def from_conditions(
         approach: FloatArray, conditions: Mapping[str, FloatArray], setups: IntArray | None = None
     ) -> Context:
-        """Return the context of visits.
+        """Return the context of visits, with directions of approach (n, n_actuated), and setups (n,).
 
-        Args:
-            approach: Direction of approach, (n, n_actuated).
-            conditions: Columns `time` [s], `temperature` [degC], `load` [kg], those of
-                `calib.core.robots.terms.gravity`, and those that terms name, as far as they are known, (n,).
-            setups: Number of the setup, (n,); None: the first.
+        `conditions` are columns `time` [s], `temperature` [degC], `load` [kg], those of
+        `calib.core.robots.terms.gravity`, and those that terms name, as far as they are known, (n,).
         """
         n = len(approach)
 
@@ -209,11 +206,7 @@ class JointTerm(ABC):
     @classmethod
     @abstractmethod
     def from_section(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
-        """Return the term of an entry of a robot description.
-
-        Args:
-            joint: The joint.
-            sigma: Its sigma [m or rad], or None.
+        """Return the term of an entry of a robot description, with its sigma [m or rad] or None.
 
         Raises:
             ValueError: The entry does not fit the joint.
@@ -221,12 +214,7 @@ class JointTerm(ABC):
 
     @classmethod
     def entries(cls, term: str, joints: Sequence[str], actuated: Sequence[str]) -> tuple[TermSection, ...]:
-        """Return the entries that are tried if a robot's terms are not named.
-
-        Args:
-            joints: The joints that can show it.
-            actuated: All actuated joints.
-        """
+        """Return the entries that are tried if a robot's terms are not named; `joints` are those that can show it."""
         named = ["all"] if len(joints) == len(actuated) else joints
         return tuple(cls.section(joint=name, term=term) for name in named)
 
@@ -250,9 +238,8 @@ class JointTerm(ABC):
     def formula(self, j: int) -> Formula | None:
         """Return phi of the coefficients as data, to write it in other languages; None if there is no formula.
 
-        Args:
-            j: Index of the term's joint among the actuated joints; for a term that tilts, index of one of its
-                rotations among the driven joints.
+        `j` is the index of the term's joint among the actuated joints; for a term that tilts, of one of its rotations
+        among the driven joints.
         """
         return None
 
@@ -273,13 +260,9 @@ class JointTerm(ABC):
         return formula.columns(context.inputs(q))
 
     def torque_derivative(self, q: FloatArray, j: int, context: Context, rate: FloatArray) -> FloatArray:
-        """Return the derivative of phi along a change of the torque, (n, n_coefficients), for terms with torque.
+        """Return the derivative of phi along a change `rate` of the torque (n, n_driven), (n, n_coefficients).
 
-        It follows from the formula, or without one from a central difference.
-
-        Args:
-            q, j, context: As in `columns`.
-            rate: Change of the torque, (n, n_driven).
+        It follows from the formula, or without one from a central difference; other arguments as in `columns`.
         """
         formula, largest = self.formula(j), float(np.max(np.abs(rate), initial=0.0))
         if isinstance(formula, Proportional) and formula.knee:
@@ -292,10 +275,7 @@ class JointTerm(ABC):
         return np.asarray((ends[0] - ends[1]) / (2 * step))
 
     def reads(self) -> tuple[str, ...]:
-        """Return the names of columns of pure numbers that this term depends on, other than its class's conditions.
-
-        `Context.column` returns their values.
-        """
+        """Return the names of further columns of pure numbers that this term depends on; see `Context.column`."""
         return ()
 
     @classmethod
@@ -304,13 +284,9 @@ class JointTerm(ABC):
         return not cls.depends_on and cls.reads is JointTerm.reads
 
     def states_by_order(self, q: FloatArray) -> Mapping[str, FloatArray]:
-        """Return values for columns of `reads` that follow from the order of commands, if a file does not state them.
+        """Return values for columns of `reads`, (n,) by name, that a file need not state.
 
-        Args:
-            q: Commands of its joint in their order, (n,) [m or rad].
-
-        Returns:
-            (n,) by name.
+        They follow from the order of the commands q of its joint, (n,) [m or rad].
         """
         return {}
 
@@ -329,10 +305,8 @@ UNIT: dict[Dimension, str] = {"angle": "mrad", "length": "mm"}
 
 
 def coefficient(name: str, dimension: Dimension, sigma: float, family: str = "") -> Parameter:
-    """Return the parameter of a coefficient, nominally zero.
+    """Return the parameter of a coefficient, nominally zero, of expected size sigma [m or rad].
 
-    Args:
-        sigma: Expected size [m or rad].
-        family: Name of a family of coefficients whose common size is found from the data; empty: sigma is used.
+    `family` names coefficients whose common size is found from the data; empty: sigma is used.
     """
     return Parameter(name, dimension, 0.0, sigma, UNIT[dimension], family=family)

@@ -21,37 +21,27 @@ from calib.core.robots import kinematics
 from calib.core.robots.mechanism import Mechanism, RelativeFrame
 
 
-class LoopRows:
-    """The rows of all loops of a mechanism, computed for some poses at a time."""
+def sweep_loops(
+    shared: kinematics.SweepCache, actuated: FloatArray, passive: FloatArray, coordinates: kinematics.Coordinates
+) -> tuple[FloatArray, FloatArray]:
+    """Return r (n, n_rows) at poses (n, n_actuated), (n, n_passive) [m or rad], and its derivative by coordinates.
 
-    def __init__(self, mechanism: Mechanism) -> None:
-        self.mechanism, self.shared = mechanism, kinematics.SweepCache(mechanism, mechanism.loops)
-        signs = mechanism.loop_signs[:, self.shared.reduced.joints]
-        self.passive, self.moving = (
-            kinematics.Coordinates.from_signs(self.shared.reduced, signs, select)
-            for select in (mechanism.select_passive, mechanism.select_moving)
-        )
-
-    def sweep_at(self, actuated: FloatArray, passive: FloatArray) -> kinematics.Sweep:
-        """Return the kinematics of poses (n, n_actuated), (n, n_passive) [m or rad]."""
-        joints = self.mechanism.all_joints(actuated, passive)
-        return kinematics.sweep(self.mechanism, joints, self.mechanism.loops, self.shared)
-
-    def passive_derivative(self, coordinates: kinematics.Coordinates, swept: kinematics.Sweep) -> FloatArray:
-        """Return C_p if `coordinates` are `passive`, (n, n_rows, n_passive), or [C_p C_a] if they are `moving`."""
-        return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), coordinates)
+    That is C_p (n, n_rows, n_passive) by `shared.passive`, and [C_p C_a] by `shared.moving`.
+    """
+    mechanism = shared.mechanism
+    swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), mechanism.loops, shared)
+    return kinematics.gaps(swept), kinematics.joint_derivative(swept, kinematics.gap_maps(swept), coordinates)
 
 
 def residual(
     mechanism: Mechanism, actuated: FloatArray, passive: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
-    rows, n_passive = LoopRows(mechanism), len(mechanism.passive)
+    shared, n_passive = kinematics.SweepCache(mechanism, mechanism.loops), len(mechanism.passive)
     values = np.empty((len(actuated), len(mechanism.loop_signs)))
     slope = np.empty((*values.shape, mechanism.select_moving.shape[1]))
-    for part in rows.shared.chunks(len(actuated)):
-        swept = rows.sweep_at(actuated[part], passive[part])
-        values[part], slope[part] = kinematics.gaps(swept), rows.passive_derivative(rows.moving, swept)
+    for part in shared.chunks(len(actuated)):
+        values[part], slope[part] = sweep_loops(shared, actuated[part], passive[part], shared.moving)
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
 
 

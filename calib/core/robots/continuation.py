@@ -31,7 +31,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.threads import one_blas_thread
 from calib.core.robots import kinematics
 from calib.core.robots.acceleration import kernels
-from calib.core.robots.closure import AssemblyMode, LoopRows
+from calib.core.robots.closure import AssemblyMode, sweep_loops
 from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.mechanism import Mechanism
 
@@ -105,14 +105,14 @@ def _correct(
 
     `limits` of residuals: of a closed pose, if computed, and if predicted from the two before it.
     """
-    (enough, sure), (n, n_passive), loops = limits, passive.shape, LoopRows(mechanism)
-    coordinates = loops.moving if len(slope) else loops.passive
-    for part in loops.shared.chunks(n):
+    (enough, sure), (n, n_passive) = limits, passive.shape
+    shared = kinematics.SweepCache(mechanism, mechanism.loops)
+    coordinates = shared.moving if len(slope) else shared.passive
+    for part in shared.chunks(n):
         index = np.arange(part.start, part.stop)
         last, before = np.full(len(index), np.inf), np.zeros(len(index))
         for _ in range(_MAX_NEWTON):
-            swept = loops.sweep_at(actuated[index], passive[index])
-            values, slopes = kinematics.gaps(swept), loops.passive_derivative(coordinates, swept)
+            values, slopes = sweep_loops(shared, actuated[index], passive[index], coordinates)
             worst = np.max(np.abs(values), axis=1)
             done = worst <= enough
             on = ~done

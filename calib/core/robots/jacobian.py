@@ -158,9 +158,9 @@ def _motion(
         return result
     mapping, through = kinematics.motion_map(swept, rows), None
     if shared.mechanism.loops:
-        maps, (of_rows, of_loops) = kinematics.gap_maps(swept), along.passive
-        by_passive = direct + kinematics.joint_derivative(swept, mapping, of_rows)
-        slope = kinematics.joint_derivative(swept, maps, of_loops)
+        maps = kinematics.gap_maps(swept)
+        by_passive = direct + kinematics.joint_derivative(swept, mapping, along.passive)
+        slope = kinematics.joint_derivative(swept, maps, shared.passive)
         opened = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
         through = opened, maps
     kinematics.origin_derivative(swept, mapping, through, along, result)

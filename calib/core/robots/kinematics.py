@@ -83,12 +83,9 @@ class TwistMap:
     select: FloatArray
 
     @cached_property
-    def passive(self) -> tuple[Coordinates, Coordinates]:
-        """The passive joints, as they move the rows, and those of the loops."""
-        of_rows, of_loops = self.signs[: self.n_rows], self.signs[self.n_rows :]
-        return Coordinates.from_signs(self.reduced, of_rows, self.select), Coordinates.from_signs(
-            self.reduced, of_loops, self.select
-        )
+    def passive(self) -> Coordinates:
+        """The passive joints, as they move the rows."""
+        return Coordinates.from_signs(self.reduced, self.signs[: self.n_rows], self.select)
 
     @cached_property
     def entries(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -163,6 +160,19 @@ class SweepCache:
         """Yield n poses in parts small enough for the processor's cache: larger ones if few joints count."""
         few_joints = max(CHUNK, _JOINTS_AT_ONCE // max(len(self.reduced.joints), 1))
         return chunks(n, few_joints if self.functions is None else _CHUNK_COMPILED)
+
+    @cached_property
+    def passive(self) -> Coordinates:
+        """The passive joints, as they move the rows of the loops."""
+        return self._moving_loops(self.mechanism.select_passive)
+
+    @cached_property
+    def moving(self) -> Coordinates:
+        """The passive joints, then the driven ones, as they move the rows of the loops."""
+        return self._moving_loops(self.mechanism.select_moving)
+
+    def _moving_loops(self, select: FloatArray) -> Coordinates:
+        return Coordinates.from_signs(self.reduced, self.mechanism.loop_signs[:, self.reduced.joints], select)
 
     @cached_property
     def tree(self) -> Any:

@@ -1,7 +1,5 @@
 """Ways to closed configurations: far parameters, single poses, limits of another turn, joints without limits."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
@@ -96,14 +94,6 @@ def test_a_last_correction_that_is_not_checked_closes_the_loops(medrue, part, co
     assert np.allclose(solved, confirmed, rtol=0, atol=1e-12)
     assert from_seed.slope is None
     assert np.allclose(moved.singular_values(from_seed), moved.singular_values(moved.assemble(q)), rtol=1e-9)
-
-
-def test_robots_in_use_are_shared_by_threads(medrue):
-    q = np.array(target_workspace().q)[:60]
-    expected = medrue.positions(q)
-    with ThreadPoolExecutor(4) as threads:
-        result = list(threads.map(lambda _: medrue.positions(q), range(8)))
-    assert np.allclose(result, [expected] * 8, rtol=0, atol=1e-12)
 
 
 def test_limits_that_lie_a_turn_away_are_the_same_limits(five_bar, tmp_path):

@@ -117,27 +117,6 @@ def test_poses_that_cannot_close_are_refused_alike():
     assert np.array_equal(result.ok, expected.ok)
 
 
-@pytest.mark.quick(0)
-def test_systems_are_solved_with_pivots():
-    numba, functions = import_module("numba"), import_module("calib.compiled.kernels")
-    solve = functions._solve  # only called by compiled code
-
-    @numba.njit
-    def solved(A, B):
-        return solve(A, B, len(A))
-
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        A, B = rng.standard_normal((5, 5)) * (rng.random((5, 5)) < 0.8) + 1e-3 * np.eye(5), rng.standard_normal((5, 2))
-        A[0, 0] = 0.0  # rows must change places
-        X = B.copy()
-        assert solved(A.copy(), X) == np.sign(np.linalg.det(A))
-        assert np.allclose(X, np.linalg.solve(A, B), rtol=1e-9)
-    A[2] = 0.0
-    assert solved(A.copy(), X) == 0.0
-    assert not np.all(np.isfinite(X))
-
-
 def test_loops_of_directions_are_left_to_the_reference(tmp_path):
     robot = calib.load(write_pose_loop(tmp_path))
     with compile_kinematics():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.robots import acceleration, continuation, kinematics
+from calib.core.robots import acceleration, continuation
 from calib.core.robots.closure import residual
 from calib.programs.reaching.goals import Goals
 from calib.programs.reaching.inverse import solve
@@ -63,15 +63,6 @@ def test_steps_tried_together_lead_where_steps_tried_one_after_the_other_lead(me
     one_by_one = medrue.close(q)
     assert np.array_equal(together.ok, one_by_one.ok)
     assert np.nanmax(np.abs(together.passive - one_by_one.passive)) < 1e-9
-
-
-def test_loops_are_open_alike_one_by_one_and_together(medrue):
-    mechanism = medrue.mechanism
-    q = medrue.home + 0.1 * np.random.default_rng(7).normal(size=(5, 6))
-    swept = kinematics.sweep(mechanism, mechanism.all_joints(q, np.tile(medrue.mode.passive, (5, 1))), mechanism.loops)
-    values, maps = kinematics.gaps(swept), kinematics.gap_maps(swept)
-    assert np.allclose(values, np.hstack([kinematics.value(swept, loop) for loop in mechanism.loops]), atol=1e-14)
-    assert np.allclose(maps, np.hstack([kinematics.twist_map(swept, loop) for loop in mechanism.loops]), atol=1e-14)
 
 
 @pytest.mark.quick(2)

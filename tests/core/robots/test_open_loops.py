@@ -1,14 +1,12 @@
 """Why a pose cannot be assembled: each reason against geometry done elsewhere."""
 
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import calib
 from calib.core.data.in_memory import as_measurements
-from calib.core.robots.closure import gap_text, loop_openings
 from calib.core.robots.loops import why_open
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
@@ -50,18 +48,6 @@ def test_a_limit_of_a_passive_joint_is_no_wall_on_the_way_of_a_fit(medrue):
     new = new[truth.close(new).ok & fit.robot.close(new).ok]
     off = fit.robot.positions(new)[:, 0] - forward(new, values).p_world_tool
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 4e-5
-
-
-def test_a_gap_is_given_apart_in_length_and_angle():
-    mechanism = SimpleNamespace(
-        loops=(SimpleNamespace(rows=(0, 1, 5)), SimpleNamespace(rows=(2,))),
-        is_metre_row=np.array([True, True, False, True]),
-    )
-    lengths, angles = loop_openings(mechanism, np.array([[3e-3, -4e-3, -0.2, 1e-3]]))
-    assert np.allclose(lengths, [[5e-3, 1e-3]])
-    assert np.allclose(angles, [[0.2, 0.0]])
-    assert gap_text(5e-3, 0.2) == "5.000 mm and 11.5 deg"
-    assert gap_text(1e-3, 0.0) == "1.000 mm"
 
 
 def test_a_full_pose_home_that_is_turned_apart_is_refused_in_degrees(tmp_path):

@@ -142,6 +142,38 @@ class AssemblyMode(ReadOnlyArrays):
         return (block_signs(slope, self.block_rows, self.block_columns) == self.signs).all(axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class LoopSolution:
+    """Solved loops.
+
+    Attributes:
+        passive: Passive joints, NaN where a pose does not close, (n, n_passive) [m or rad].
+        ok: Mask of the poses that closed, (n,).
+        slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); None where it was not computed.
+    """
+
+    passive: FloatArray
+    ok: BoolArray
+    slope: FloatArray | None
+
+    @staticmethod
+    def nowhere(n: int, n_passive: int) -> LoopSolution:
+        """Return n poses of which none is solved yet."""
+        slope = np.full((n, n_passive, n_passive), np.nan)
+        return LoopSolution(np.full((n, n_passive), np.nan), np.zeros(n, dtype=bool), slope)
+
+    def take(self, other: LoopSolution, index: IntArray) -> None:
+        """Store the solved ones of `other` in place, which are those of the poses `index`."""
+        rows = index[other.ok]
+        self.passive[rows], self.ok[rows] = other.passive[other.ok], True
+        if self.slope is not None and other.slope is not None:
+            self.slope[rows] = other.slope[other.ok]
+
+    def select(self, index: IntArray) -> LoopSolution:
+        """Return the poses with these indices, (n,)."""
+        return LoopSolution(self.passive[index], self.ok[index], None if self.slope is None else self.slope[index])
+
+
 def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ...]]:
     """Split a square, structurally regular pattern (n, n) into its strongly connected diagonal blocks.
 

@@ -16,18 +16,17 @@ as passive joints, and they must be independent at home.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, hold
+from calib.core.base.arrays import BoolArray, FloatArray, hold
 from calib.core.base.errors import DescriptionError
 from calib.core.base.units import DISPLAY_UNIT, Dimension, in_unit
 from calib.core.base.words import joints_named
 from calib.core.numerics import linalg
 from calib.core.robots.closure import (
     AssemblyMode,
+    LoopSolution,
     block_signs,
     blocks,
     gap_text,
@@ -43,25 +42,6 @@ LIMIT_MARGIN = 1e-9
 """How far beyond its limit a passive joint may be [m, rad]."""
 _OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from the nominal one
 _CLOSED = 1e-6  # the search for the smallest gap ends a few nanometres from closed [m or rad]
-
-
-@dataclass(frozen=True, eq=False)
-class LoopSolution:
-    """Solved loops.
-
-    Attributes:
-        passive: Passive joints, NaN where a pose does not close, (n, n_passive) [m or rad].
-        ok: Mask of the poses that closed, (n,).
-        slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); None where there was a seed.
-    """
-
-    passive: FloatArray
-    ok: BoolArray
-    slope: FloatArray | None
-
-    def select(self, index: IntArray) -> LoopSolution:
-        """Return the poses with these indices, (n,)."""
-        return LoopSolution(self.passive[index], self.ok[index], None if self.slope is None else self.slope[index])
 
 
 def close(
@@ -82,37 +62,36 @@ def close(
         thorough: See `calib.core.robots.continuation.follow`; False may leave poses open that close.
         limits: Whether solutions beyond the limits of a passive joint are refused.
     """
-    n = len(actuated)
+    n, n_passive = len(actuated), len(mechanism.passive)
     if not mechanism.loops:
         return LoopSolution(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0, 0)))
     if seed is None:
-        passive, slope, ok = follow(mechanism, mode, actuated, thorough=thorough)
-        passive = wrap_turns(mechanism, mode, passive)
+        found = follow(mechanism, mode, actuated, thorough=thorough)
+        passive, ok, slope = wrap_turns(mechanism, mode, found.passive), found.ok, found.slope
     else:
         slope, seeded = None, np.all(np.isfinite(seed), axis=1)
-        passive, ok = np.full(seed.shape, np.nan), np.zeros(n, dtype=bool)
+        passive, ok = np.full((n, n_passive), np.nan), np.zeros(n, dtype=bool)
         part = slice(None) if np.all(seeded) else seeded
         passive[part], _, _, ok[part] = newton(mechanism, mode, actuated[part], seed[part], slopes=False)
         passive = wrap_turns(mechanism, mode, passive)
         ok &= are_within_limits(mechanism, passive) | (not limits)
         todo = np.flatnonzero(~ok)
         if len(todo):
-            followed, _, ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
-            passive[todo] = wrap_turns(mechanism, mode, followed)
+            found = follow(mechanism, mode, actuated[todo], thorough=thorough)
+            passive[todo], ok[todo] = wrap_turns(mechanism, mode, found.passive), found.ok
     ok &= are_within_limits(mechanism, passive) | (not limits)
-    if not np.all(ok):
-        passive[~ok] = np.nan
-        if slope is not None:
-            slope[~ok] = np.nan
-    hold(passive, *(() if slope is None else (slope,)))
+    passive[~ok] = np.nan
+    hold(passive)
+    if slope is not None:
+        slope[~ok] = np.nan
+        hold(slope)
     return LoopSolution(passive, ok, slope)
 
 
 def carries_home(mechanism: Mechanism, mode: AssemblyMode) -> bool:
     """Return whether home can be carried over to the origins of `mechanism`, and closes there in its assembly mode."""
-    return not mechanism.loops or bool(
-        carry(mechanism, mode, mode.actuated[None], mode.passive[None], slopes=False)[2][0]
-    )
+    at_home = mode.actuated[None], mode.passive[None]
+    return not mechanism.loops or bool(carry(mechanism, mode, *at_home, slopes=False).ok[0])
 
 
 def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:
@@ -161,9 +140,9 @@ def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray)
 
 def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> str:
     """Return the reason why a pose, its actuated joints (n_actuated,) [m or rad], could not be closed, in words."""
-    passive, _, closes = follow(mechanism, mode, actuated[None])
-    if closes[0]:
-        passive = wrap_turns(mechanism, mode, passive)
+    alone = follow(mechanism, mode, actuated[None])
+    if alone.ok[0]:
+        passive = wrap_turns(mechanism, mode, alone.passive)
         if are_within_limits(mechanism, passive)[0]:
             return "it closes if solved alone, but the path from the other poses ends beyond the limits of a joint"
         return "its loops close only with " + _joint_beyond_limits(mechanism, passive[0])

@@ -14,10 +14,10 @@ from calib.core.base.errors import DataError, InputError
 from calib.core.base.memory import require_memory
 from calib.core.base.other_words import HintedObject
 from calib.core.base.words import html_with_title
-from calib.core.robots import kinematics, loops
+from calib.core.robots import kinematics
 from calib.core.robots.acceleration import compile_for, many
 from calib.core.robots.accuracy_of_files import Holds
-from calib.core.robots.closure import motion
+from calib.core.robots.closure import LoopSolution, motion
 from calib.core.robots.configurations import (
     Configurations,
     assemble,
@@ -150,7 +150,7 @@ class Robot(RobotData, HintedObject):
         columns: tuple[FloatArray, ...] | None = None,
         *,
         thorough: bool = True,
-    ) -> loops.LoopSolution:
+    ) -> LoopSolution:
         """Solve the loops of each pose without raising; see `calib.core.robots.loops.close`.
 
         Args:

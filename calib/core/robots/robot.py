@@ -220,17 +220,10 @@ class Robot(RobotData, HintedObject):
         measurement frame (Pinocchio's LOCAL_WORLD_ALIGNED). With joint terms, dq/dt is
         the actual motion of the joints, not the commanded one.
 
-        Args:
-            q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
-            frame: As in `forward`.
+        Arguments and errors are those of `forward`.
 
         Returns:
             (n, 6, n_actuated) or (6, n_actuated) [m or rad, per m or rad].
-
-        Raises:
-            DataError: Joint values of the wrong shape.
-            DescriptionError: Unknown frame.
-            UnreachablePoseError: A loop cannot be closed.
         """
         configurations, pair = self.assemble(q), self._relative_frame(frame)
         by_joint = motion(self.mechanism, pair, configurations.actuated, configurations.passive)[2]

@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.units import quantity_text
 from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.robots import kinematics
@@ -96,21 +95,6 @@ def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArr
         return np.full(len(slope_passive), np.inf)
     values: FloatArray = linalg.singular_values(scale_closure(mechanism, slope_passive))
     return values[:, -1]
-
-
-def loop_openings(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each loop is open by r (n, n_rows): lengths [m] and angles [rad], (n, n_loops) each."""
-    ends = np.cumsum([len(loop.rows) for loop in mechanism.loops])[:-1]
-    lengths = np.split(np.where(mechanism.is_metre_row, values, 0.0), ends, axis=1)
-    angles = np.split(np.where(mechanism.is_metre_row, 0.0, values), ends, axis=1)
-    norms = [np.stack([np.linalg.norm(part, axis=1) for part in parts], axis=1) for parts in (lengths, angles)]
-    return norms[0], norms[1]
-
-
-def gap_text(length: float, angle: float, form: str = "") -> str:
-    """Say a gap in mm, and in degrees where a loop's directions do not agree, in a form if it is given."""
-    turned = f" and {quantity_text(angle, 'deg', form or '.3g')}" if angle > 0 else ""
-    return quantity_text(length, "mm", form or ".3f") + turned
 
 
 @dataclass(frozen=True, eq=False)

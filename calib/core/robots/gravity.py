@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, nearest, require_known
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import Dimension
@@ -151,7 +151,7 @@ def accelerations(robot: RobotData, joints: FloatArray, context: Context) -> tup
     (n, 3) each [m/s^2], [m/s^2 per rad]; `joints` are all of the nominal robot, (n, n_joints) [m or rad].
     """
     section = robot.description.gravity or GravitySection()
-    down = _stated_direction(section, robot.description, len(joints), context)
+    down = section.stated_directions(tuple(robot.description.setups))[context.setup_numbers]
     if context.down is not None:
         read = _measured_direction(section, robot.nominal, joints, context.down)
         down = np.where(np.isnan(read), down, read)
@@ -163,16 +163,6 @@ def accelerations(robot: RobotData, joints: FloatArray, context: Context) -> tup
     of_first, of_second = (pin.skew(axis) @ turn for axis, turn in zip(axes, (first, second), strict=True))
     turned = STANDARD * down @ second.T
     return turned @ first.T, (turned @ of_first.T, STANDARD * down @ of_second.T @ first.T)
-
-
-def _stated_direction(section: GravitySection, description: Description, n: int, context: Context) -> FloatArray:
-    """The direction at each of n visits as a description says it, (n, 3)."""
-    return section.stated_directions(tuple(description.setups))[_setups(n, context)]
-
-
-def _setups(n: int, context: Context) -> IntArray:
-    """Number of the setup of each of n visits, (n,)."""
-    return np.zeros(n, dtype=np.intp) if context.setups is None else context.setups
 
 
 def _measured_direction(
@@ -200,10 +190,11 @@ def contradiction_angles(robot: RobotData, q: FloatArray, context: Context) -> F
     names = tuple(description.setups) or ("",)
     stated = np.array(["down" in section.model_fields_set or name in section.setups for name in names])
     read = _measured_direction(section, mechanism, _open_joints(mechanism, q), context.down)
-    cosine = np.sum(read * _stated_direction(section, description, len(q), context), axis=1)
+    cosine = np.sum(read * section.stated_directions(names)[context.setup_numbers], axis=1)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-    known = stated[_setups(len(q), context)]
-    return np.where(known & (angle > max(_CONTRADICTS, 3.0 * (section.sigma or 0.0))), angle, nothing)
+    return np.where(
+        stated[context.setup_numbers] & (angle > max(_CONTRADICTS, 3.0 * (section.sigma or 0.0))), angle, nothing
+    )
 
 
 def _open_joints(mechanism: Mechanism, q: FloatArray) -> FloatArray:

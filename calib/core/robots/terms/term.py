@@ -121,6 +121,11 @@ class Context(ReadOnlyArrays):
     torque: FloatArray | None = None
     others: Mapping[str, FloatArray] = field(default_factory=dict)
 
+    @property
+    def setup_numbers(self) -> IntArray:
+        """Number of the setup of each command, (n,)."""
+        return np.zeros(len(self.time), dtype=np.intp) if self.setups is None else self.setups
+
     def column(self, name: str) -> FloatArray:
         """Return the values of a column that a term names, (n,) [SI]; 0 where not known."""
         return self.others.get(name, np.zeros(len(self.time)))

@@ -66,7 +66,6 @@ class _Motion(ReadOnlyArrays):
         before, after: Shift from the body's frame to the joint's place before the motion, and back after it, (3,) [m].
         value: Value in the file [m or rad].
         limits: Lowest and highest value, or None.
-        number: Index in the model; None for a part of a ball joint.
     """
 
     name: str
@@ -76,7 +75,6 @@ class _Motion(ReadOnlyArrays):
     after: FloatArray
     value: float = 0.0
     limits: tuple[float, float] | None = None
-    number: int | None = None
 
 
 def read_mjcf(path: str, *_: object) -> tuple[bytes, ForeignRobot]:
@@ -102,7 +100,7 @@ class _MjcfReader:
     def __init__(self, mujoco: Any, model: Any, path: str, meshes: str) -> None:
         self.mujoco, self.model, self.path, self.meshes = mujoco, model, path, meshes
         self.urdf = NewUrdf(_text(model.names) or Path(path).stem)
-        self.joints: dict[int, Element] = {}  # hinges and slides, by number in the model
+        self.joints: dict[str, Element] = {}  # by name
         self.link_of: dict[int, str] = {}  # link of each body
         self.home: dict[str, float] = {}
         self.remarks: list[str] = []
@@ -185,7 +183,7 @@ class _MjcfReader:
                 )
             value = float(model.qpos0[model.jnt_qposadr[joint]])
             axis = np.array(model.jnt_axis[joint])
-            yield _Motion(name, moves, axis, about, about, value, limits if limited else None, joint)
+            yield _Motion(name, moves, axis, about, about, value, limits if limited else None)
 
     def _rod(self, body: int, centre: FloatArray) -> FloatArray | None:
         """Direction in a body from its ball joint to the only point that ties it to others, (3,); None: no rod."""
@@ -209,9 +207,8 @@ class _MjcfReader:
             place = place * pin.SE3(np.eye(3), -motion.value * motion.axis)
         elif motion.value:
             place = place * pin.SE3(pin.AngleAxis(-motion.value, motion.axis).matrix(), np.zeros(3))
-        element = self.urdf.add_joint(motion.name, motion.kind, (parent, child), place, motion.axis, motion.limits)
-        if motion.number is not None:
-            self.joints[motion.number] = element
+        ends, name = (parent, child), motion.name
+        self.joints[name] = self.urdf.add_joint(name, motion.kind, ends, place, motion.axis, motion.limits)
         self.home[motion.name] = motion.value
 
     def _link(self, name: str, body: int) -> None:
@@ -255,10 +252,10 @@ class _MjcfReader:
     def _motors(self) -> Iterator[str]:
         types = self.mujoco.mjtTrn
         for number in range(self.model.nu):
-            joint = int(self.model.actuator_trnid[number, 0])
             of_joint = int(self.model.actuator_trntype[number]) in (types.mjTRN_JOINT, types.mjTRN_JOINTINPARENT)
-            if of_joint and joint in self.joints:
-                yield self.joints[joint].attrib["name"]
+            name = self._name("JOINT", int(self.model.actuator_trnid[number, 0])) if of_joint else ""
+            if name in self.joints:
+                yield name
 
     def _equalities(self) -> Iterator[ForeignLoop]:
         model, types = self.model, self.mujoco.mjtEq
@@ -275,14 +272,13 @@ class _MjcfReader:
 
     def _follower(self, number: int, name: str) -> None:
         model = self.model
-        follower, leader = (int(ids[number]) for ids in (model.eq_obj1id, model.eq_obj2id))
+        follower, led_by = (self._name("JOINT", int(ids[number])) for ids in (model.eq_obj1id, model.eq_obj2id))
         polynomial = model.eq_data[number]
-        if leader < 0 or follower not in self.joints or leader not in self.joints or np.any(polynomial[2:5]):
+        if not {follower, led_by} <= self.joints.keys() or np.any(polynomial[2:5]):
             raise UrdfError(f"{self.path}: equality '{name}' is not linear, or not between two joints; {_NOT_HELD}")
-        element, led_by = self.joints[follower], self.joints[leader].attrib["name"]
         factor = float(polynomial[1])
-        offset = self.home[element.attrib["name"]] + float(polynomial[0]) - factor * self.home[led_by]
-        SubElement(element, "mimic", joint=led_by, multiplier=repr(factor), offset=repr(offset))
+        offset = self.home[follower] + float(polynomial[0]) - factor * self.home[led_by]
+        SubElement(self.joints[follower], "mimic", joint=led_by, multiplier=repr(factor), offset=repr(offset))
 
     def _loop(self, number: int, name: str, *, whole: bool) -> ForeignLoop:
         bodies, places = self._bodies_of_tie(number)

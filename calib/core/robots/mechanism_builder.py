@@ -38,7 +38,7 @@ def build_mechanism(
     places: dict[str, int] = {}
     for place in places_of(description, instruments, where):
         link = _frame(frames, place.link, f"{where}: {_entry(place, description)}.frame")
-        origin = _new_name(*_origin_names(place), origin_names)
+        origin = _new_origin(place, origin_names)
         pose = rigid(place.xyz, place.rpy)
         pose = pose.inverse() if place.inverted else pose
         places[place.name] = int(model.addJoint(link, pin.JointModelRX(), pose, origin))
@@ -123,12 +123,15 @@ def _entry(place: Place, description: Description) -> str:
     return "base" if place.inverted else f"place '{place.name}'"
 
 
-def _origin_names(place: Place) -> tuple[str, str]:
-    """Names for the origin of a place: the first choice, then others if that is taken."""
-    if not place.inverted:
-        return place.name, f"{place.name}_point"
+def _new_origin(place: Place, taken: list[str]) -> str:
+    """A name for the origin of a place: the first choice, or others if that is taken."""
     later = place.name.removeprefix(MEASUREMENT_FRAME)
-    return f"base{later}", f"measurement_base{later}"
+    name, other = (
+        (f"base{later}", f"measurement_base{later}") if place.inverted else (place.name, f"{place.name}_point")
+    )
+    while name in taken:
+        name, other = other, f"{other}_"
+    return name
 
 
 def _moving(urdf: UrdfText) -> dict[str, UrdfJoint]:
@@ -167,13 +170,6 @@ def _tilts(joint: UrdfJoint) -> Iterator[tuple[str, FloatArray]]:
     return zip(tilts_of(joint.name, _dimension(joint)), directions, strict=True)
 
 
-def _new_name(name: str, other: str, taken: list[str]) -> str:
-    """Return `name`, or if it is taken, `other`, with a _ added until it is new."""
-    while name in taken:
-        name, other = other, f"{other}_"
-    return name
-
-
 def _frame(frames: Mapping[str, int], name: str, where: str) -> int:
     require_known(name, frames, f"{where}: no link or joint", DescriptionError)
     return frames[name]
@@ -181,9 +177,8 @@ def _frame(frames: Mapping[str, int], name: str, where: str) -> int:
 
 def _support(model: pin.Model) -> FloatArray:
     support = np.zeros((model.njoints, model.njoints - 1))
-    for index in range(1, model.njoints):
-        support[index] = support[model.parents[index]]
-        support[index, index - 1] = 1.0
+    for frame, joints in enumerate(model.supports):
+        support[frame, [joint - 1 for joint in joints if joint]] = 1.0
     return support
 
 
@@ -197,10 +192,8 @@ def _loop(description: Description, frames: Mapping[str, int], index: int, where
             raise DescriptionError(f"{where}: axis '{axis}' is a rotation; that needs type 6d")
     if not axes or len(set(axes)) != len(axes):
         raise DescriptionError(f"{where}: closed_loop_axes {list(axes)} must name each direction once, at least one")
-    rows = tuple(COMPONENTS.index(axis) for axis in axes)
-    return RelativeFrame(
-        f"{first}-{second}", _frame(frames, first, where), _frame(frames, second, where), full_pose, rows
-    )
+    a, b = (_frame(frames, name, where) for name in (first, second))
+    return RelativeFrame(f"{first}-{second}", a, b, full_pose, tuple(COMPONENTS.index(axis) for axis in axes))
 
 
 def _check_motors(urdf: UrdfText, description: Description, where: str) -> None:

@@ -141,13 +141,13 @@ class LoopSolution:
     slope: FloatArray | None
 
     @staticmethod
-    def nowhere(n: int, n_passive: int) -> LoopSolution:
+    def empty(n: int, n_passive: int) -> LoopSolution:
         """Return n poses of which none is solved yet."""
         slope = np.full((n, n_passive, n_passive), np.nan)
         return LoopSolution(np.full((n, n_passive), np.nan), np.zeros(n, dtype=bool), slope)
 
     def take(self, other: LoopSolution, index: IntArray) -> None:
-        """Store the solved ones of `other` in place, which are those of the poses `index`."""
+        """Store the solved ones of `other` in place, which are those of the poses `index`, (n_other,)."""
         rows = index[other.ok]
         self.passive[rows], self.ok[rows] = other.passive[other.ok], True
         if self.slope is not None and other.slope is not None:

@@ -160,7 +160,7 @@ def follow(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, th
     known = at_home[0], home.passive
     if home.ok[0] and not thorough:
         return _solve_outwards(mechanism, mode, known, actuated, thorough=False)
-    solution = LoopSolution.nowhere(len(actuated), len(mechanism.passive))
+    solution = LoopSolution.empty(len(actuated), len(mechanism.passive))
     if home.ok[0]:
         solution = _solve_outwards(mechanism, mode, known, actuated)
     todo = np.flatnonzero(~solution.ok)
@@ -187,7 +187,7 @@ def carry(
         actuated, passive: The configurations, (n, n_actuated), (n, n_passive) [m or rad]; actuated joints stay.
         slopes: Whether C_p is wanted.
     """
-    solution = LoopSolution.nowhere(*passive.shape)
+    solution = LoopSolution.empty(*passive.shape)
 
     def go(index: IntArray, at: FloatArray, low: float, high: float) -> tuple[IntArray, FloatArray]:
         """Go from the part `low` of the change to `high`; return which poses arrived, and their passive joints."""
@@ -218,7 +218,7 @@ def _solve_outwards(
     thorough: bool = True,
 ) -> LoopSolution:
     """Solve poses nearest to home first, each from the nearest pose solved so far; try the rest again at the end."""
-    solution = LoopSolution.nowhere(len(actuated), len(mechanism.passive))
+    solution = LoopSolution.empty(len(actuated), len(mechanism.passive))
     effort = (_NEIGHBOURS, _SMALLEST_PART) if thorough else (1, _SMALLEST_AT_ONCE)
     points = actuated / mechanism.driven_scale
     order = np.argsort(np.linalg.norm(points - known[0][0] / mechanism.driven_scale, axis=1), kind="stable")
@@ -244,7 +244,7 @@ def _solve_from_nearest(
     smallest: float = _SMALLEST_PART,
 ) -> LoopSolution:
     """Solve poses from known ones, the nearest first; another way round where the straight line is blocked."""
-    solution, scale = LoopSolution.nowhere(len(actuated), len(mechanism.passive)), mechanism.driven_scale
+    solution, scale = LoopSolution.empty(len(actuated), len(mechanism.passive)), mechanism.driven_scale
     count = min(neighbours, len(known[0]))
     if count == 0 or len(actuated) == 0:
         return solution

@@ -56,15 +56,12 @@ def joint_vector(robot: RobotData, q: ArrayLike) -> FloatArray:
             f"joint values of shape {shape}; expected (n, {len(robot.joint_names)}) in the order"
             f" {', '.join(robot.joint_names)}{hint}"
         )
-    if not np.all(np.isfinite(values)):
-        row, column = np.argwhere(~np.isfinite(values))[0]
-        raise DataError(f"pose {row}: joint '{robot.joint_names[column]}' is not finite")
-    if np.any(np.abs(values) > _LARGEST_JOINT):
-        row, column = np.argwhere(np.abs(values) > _LARGEST_JOINT)[0]
-        raise DataError(
-            f"pose {row}: joint '{robot.joint_names[column]}' is {values[row, column]:.3g} m or rad, which no robot"
-            " reaches; check the value and its unit"
-        )
+    possible = np.abs(values) <= _LARGEST_JOINT  # no NaN
+    if not np.all(possible):
+        row, column = np.argwhere(~possible)[0]
+        size = f"{values[row, column]:.3g} m or rad, which no robot reaches; check the value and its unit"
+        why = size if np.isfinite(values[row, column]) else "not finite"
+        raise DataError(f"pose {row}: joint '{robot.joint_names[column]}' is {why}")
     return values
 
 

@@ -73,6 +73,7 @@ KEY_MISTAKES = {
     "far from any": ("urdf: arm.urdf", "urdf: arm.urdf\nqqq: 1", "unknown key 'qqq'; valid: base, closed_loop, "),
     "base": ("base: {frame: ground}", "base: {frame: ground, xzy: [0, 0, 0]}", "unknown key 'base.xzy'; did you mean"),
     "target": ("{frame: tool,", "{frme: tool,", "unknown key 'targets.tip.frme'; did you mean 'frame'?"),
+    "target named str": ("tip: {frame:", "str: {fram:", "unknown key 'targets.str.fram'; did you mean 'frame'?"),
     "entry": ("components:", "component:", "unknown key 'parametrisation[0].component'; did you mean 'components'?"),
     "noise": ("urdf:", "sigma: {range: 1 mm, angl: 1 mrad}\nurdf:", "unknown key 'sigma.angl'; did you mean 'angle'?"),
     "fleet": ("urdf:", "fleet: {robot: 3}\nurdf:", "unknown key 'fleet.robot'; did you mean 'robots'?"),

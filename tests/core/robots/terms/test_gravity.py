@@ -181,12 +181,7 @@ def with_columns(folder, gravity, head, cells):
         ("{}", VECTOR, ("0,0,0", "0,0,0"), "line 2: gravity is 0 long"),
         ("{}", VECTOR, ("0,0,-9.8", "0,0,-0.98"), "line [23]: gravity is"),
         ("{}", "gravity_x,gravity_y", ("0,0", "0,0"), "no column 'gravity_z'; gravity's direction needs gravity_x"),
-        (
-            "{}",
-            "gravity_x,gravity_y,gravity_Z",
-            ("0,0,-1", "0,0,-1"),
-            "no column 'gravity_z'; gravity's direction needs",
-        ),
+        ("{}", "gravity_x,gravity_y,gravity_Z", ("0,0,-1", "0,0,-1"), "no column 'gravity_z'; gravity's direction"),
         ("{}", "acelerometer_x,acelerometer_y,z", ("0,0,1", "0,0,1"), "did you mean 'accelerometer_x'"),
         ("{}", TILTS, ("0,12", "0,11"), "beyond 85 deg.*Without .deg. in its header a column is"),
         (

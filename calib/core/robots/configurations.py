@@ -56,7 +56,7 @@ def joint_vector(robot: RobotData, q: ArrayLike) -> FloatArray:
             f"joint values of shape {shape}; expected (n, {len(robot.joint_names)}) in the order"
             f" {', '.join(robot.joint_names)}{hint}"
         )
-    possible = np.abs(values) <= _LARGEST_JOINT  # no NaN
+    possible = np.abs(values) <= _LARGEST_JOINT  # false for NaN
     if not np.all(possible):
         row, column = np.argwhere(~possible)[0]
         size = f"{values[row, column]:.3g} m or rad, which no robot reaches; check the value and its unit"

@@ -84,14 +84,11 @@ def relative_poses(
     mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
 ) -> FloatArray:
     """Return the poses of frames b in frames a at assembled poses, (n_pairs, n, 4, 4) [m]."""
-    poses = np.tile(np.eye(4), (len(configurations.actuated), len(pairs), 1, 1))
-    frames = np.array([(pair.a, pair.b) for pair in pairs], dtype=np.intp).reshape(-1, 2).T
+    poses = np.empty((len(pairs), len(configurations.actuated), 4, 4))
     for part, swept in sweeps(mechanism, configurations, pairs, loops=False):
-        a, b = swept.index[frames]
-        inverse_a, offsets = swept.rotation[:, a].swapaxes(2, 3), swept.translation[:, b] - swept.translation[:, a]
-        poses[part, :, :3, :3] = np.matmul(inverse_a, swept.rotation[:, b])
-        poses[part, :, :3, 3] = np.matmul(inverse_a, offsets[..., None])[..., 0]
-    return poses.swapaxes(0, 1)
+        for k, pair in enumerate(pairs):
+            poses[k, part] = kinematics.relative_pose(swept, pair)
+    return poses
 
 
 def relative_motion(

@@ -49,9 +49,10 @@ def _term(section: TermSection, joint: UrdfJoint, mechanism: Mechanism, where: s
         sigma = None if section.sigma is None else quantity(section.sigma, unit, f"{place}, sigma")
         if sigma is not None and sigma <= 0:
             raise InputError(f"{place}: sigma must be positive; leave the term out to have none")
-        between = float(joint.upper - joint.lower)
-        stroke = between if dimension == "length" and 0 < between < np.inf else None
-        return kind.from_section(Joint(name, dimension, mechanism.actuated, stroke), section, sigma)
+        stroke = float(joint.upper - joint.lower)
+        if dimension == "length" and 0 < stroke < np.inf:
+            section = section.with_stroke(stroke)
+        return kind.from_section(Joint(name, dimension, mechanism.actuated), section, sigma)
     except (InputError, ValueError) as error:
         text = str(error)
         raise DescriptionError(text if text.startswith(where) else f"{place}: {text}") from None

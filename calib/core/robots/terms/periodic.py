@@ -118,6 +118,10 @@ class CurveSection(TermSection):
     stroke: Annotated[Length, Field(gt=0)] | None = None
     found: bool = True
 
+    def with_stroke(self, stroke: float) -> CurveSection:
+        """Return the entry with the stroke of a prismatic joint [m] where it states none."""
+        return self if self.stroke is not None else self.model_copy(update={"stroke": stroke})
+
 
 class Curve(_Periodic):
     """A smooth curve over a turn, or over the stroke of a prismatic joint."""
@@ -129,7 +133,7 @@ class Curve(_Periodic):
     @classmethod
     def from_section(cls, joint: Joint, section: CurveSection, sigma: float | None) -> Curve:
         """Return the term of an entry of a robot description; one that does not fit the joint is a `ValueError`."""
-        repeats = period(joint.dimension, section, "stroke", section.stroke or joint.stroke)
+        repeats = period(joint.dimension, section, "stroke", section.stroke)
         amplitude = AMPLITUDE[joint.dimension] if sigma is None else sigma
         family = f"{joint.name}.curve" if section.found else ""
         orders = tuple(range(1, section.orders + 1))

@@ -45,6 +45,10 @@ class TermSection(Section):
     term: str
     sigma: Quantity | None = None
 
+    def with_stroke(self, stroke: float) -> TermSection:
+        """Return the entry for a prismatic joint with this stroke [m]; the same entry if the term needs no stroke."""
+        return self
+
 
 @dataclass(frozen=True)
 class Condition:
@@ -86,13 +90,11 @@ class Joint:
         name: Its name.
         dimension: Whether it turns or slides.
         actuated: Names of all actuated joints, in the order of commands.
-        stroke: Length between the limits of a joint that slides, if they are stated [m].
     """
 
     name: str
     dimension: Dimension
     actuated: tuple[str, ...]
-    stroke: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

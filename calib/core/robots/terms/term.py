@@ -176,7 +176,7 @@ class Context(ReadOnlyArrays):
 class JointTerm(ABC):
     """One term of one joint's error. A class defines its columns, or a formula for them.
 
-    Attributes of the class, with their defaults:
+    Attributes of the class:
         section: Keys of its entry in a robot description.
         needs_torque: Whether it depends on `Context.torque`.
         tilts: Whether it tilts the link after its joint, instead of moving the joint.

@@ -17,10 +17,11 @@ from calib.core.data.measurements import Measurements, Poses, measurements
 from calib.core.instruments.kind import Readings
 from calib.core.instruments.position import Position
 from calib.core.numerics.identifiability import reduce_rows
+from calib.core.robots.closure import LoopSolution
 from calib.core.robots.configurations import Configurations, near_singularity, solve_configurations
 from calib.core.robots.jacobian import linearise
 from calib.core.robots.joint_errors import term_columns
-from calib.core.robots.loops import LoopSolution, why_open
+from calib.core.robots.loops import why_open
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed, observe, planned_readings, predict_readings
 from calib.core.rows.rows import Rows

@@ -16,8 +16,8 @@ parameters, which is all that is known before measuring; one set is the 84 poses
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -25,7 +25,6 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.workers import results_in_order
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fit import fit_data
@@ -33,10 +32,9 @@ from calib.core.fitting.settings import Settings
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.planning.selection import select
-from medrue.draws import PoseSet
+from medrue.draws import PoseSet, Work
 from medrue.imperfections import Imperfections, RailErrors, from_direction, imperfect_robot
 from medrue.paper_tables import table3
-from medrue.progress import StageProgress
 from medrue.tracker import REPEATS, SIGMA, measure
 
 COUNTS = (10, 14, 21, 28, 42, 63, 84, 126)
@@ -148,8 +146,7 @@ def run_both_sides(
     counts: tuple[int, ...],
     imperfections: Imperfections,
     seeds: Sequence[np.random.SeedSequence],
-    executor: Executor | None,
-    progress: StageProgress,
+    work: Work,
 ) -> BothSides:
     """Measure and calibrate the robots of the experiment from both sides.
 
@@ -161,26 +158,14 @@ def run_both_sides(
         counts: Numbers of poses.
         imperfections: Sizes of what the paper's parameters leave out.
         seeds: Seeds of the experiment's draws.
-        executor: Executor of the draws.
-        progress: Called with the progress of the work.
+        work: How the draws are run.
     """
-    sets, rail = [first], RailErrors()
-    with progress.stage("choosing poses for the extended model", len(counts)) as advance:
-        for chosen in results_in_order(_choose, [(extended, joints, count) for count in counts], executor):
-            sets.append(PoseSet(f"{len(chosen)}", chosen))
-            advance(1)
-    tasks = [BothSidesTask(robot, extended, joints, tuple(sets), imperfections, rail, seed) for seed in seeds]
-    draws = []
-    with progress.stage("measurements from both sides", len(tasks)) as advance:
-        for draw in results_in_order(both_sides_draw, tasks, executor):
-            draws.append(draw)
-            advance(1)
-    return BothSides(extended, joints, tuple(sets), rail, tuple(draws))
-
-
-def _choose(task: tuple[Robot, FloatArray, int]) -> IntArray:
-    robot, joints, count = task
-    return np.sort(select(robot, joints, count, "O1", sigma=SIGMA).chosen)
+    choose = partial(select, extended, joints, index="O1", sigma=SIGMA)
+    chosen = work.results("choosing poses for the extended model", choose, counts)
+    sets, rail = (first, *(PoseSet(f"{len(s.chosen)}", np.sort(s.chosen)) for s in chosen)), RailErrors()
+    tasks = [BothSidesTask(robot, extended, joints, sets, imperfections, rail, seed) for seed in seeds]
+    draws = work.results("measurements from both sides", both_sides_draw, tasks)
+    return BothSides(extended, joints, sets, rail, tuple(draws))
 
 
 @one_blas_thread
@@ -193,7 +178,7 @@ def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
     generator = np.random.default_rng(np.random.SeedSequence(task.seed.entropy, spawn_key=(*task.seed.spawn_key, 0)))
     n = len(task.joints)
     points = np.concatenate([truth.positions(task.joints, np.full(n, side)) for side in SIDES])
-    measured = measure(points, SIGMA, REPEATS, generator).positions.reshape(len(SIDES), n, 3)
+    measured = measure(points, generator).positions.reshape(len(SIDES), n, 3)
     either = generator.integers(len(SIDES), size=n)
     passive = task.robot.assemble(task.joints).passive
     after = np.full((len(WAYS), len(task.sets), *measured.shape), np.nan)

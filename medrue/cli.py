@@ -21,7 +21,6 @@ from calib.core.commands.program import run_program
 from calib.core.data.measurement_files import format_positions
 from calib.core.robots.loading import load
 from medrue import measurement_file, page_files, robot_file
-from medrue.progress import SilentProgress, TerminalBars
 
 if TYPE_CHECKING:
     from medrue.pages import Report
@@ -156,14 +155,13 @@ def study_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int
     """Reproduce the paper's simulation study: Tables I and II, Figures 4 and 5. Everything is simulated."""
     output.check(folders=(out,))
     with Workers(jobs) as executor:  # they start while the rest is loaded
+        from medrue.draws import Work
         from medrue.reports import study_report
         from medrue.study import QUICK, StudySize, run_study
 
         size = QUICK if quick else StudySize()
         size = replace(size, noise_draws=draws or size.noise_draws)
-        study = run_study(
-            load(robot_file()), size, seed, executor, SilentProgress() if output.quiet else TerminalBars()
-        )
+        study = run_study(load(robot_file()), size, seed, Work(executor, output.working))
     _finish(study_report(study), out, output, shown=("table2",))
 
 
@@ -192,6 +190,7 @@ def experiment_command(
     output.check(folders=(out,))
     with Workers(jobs) as executor:  # they start while the rest is loaded
         from medrue.both_sides import COUNTS, QUICK_COUNTS
+        from medrue.draws import Work
         from medrue.experiment import DRAWS, QUICK_DRAWS, run_experiment
         from medrue.imperfections import Imperfections
         from medrue.reports import experiment_report
@@ -202,11 +201,10 @@ def experiment_command(
             usual.lead if lead_um is None else lead_um * 1e-6 / 0.3,
             usual.tilt if tilt_deg is None else float(np.radians(tilt_deg)),
         )
-        count = draws or (QUICK_DRAWS if quick else DRAWS)
-        progress = SilentProgress() if output.quiet else TerminalBars()
         robots = load(robot_file()), load(robot_file("medrue_extended"))
-        counts = QUICK_COUNTS if quick else COUNTS
-        experiment = run_experiment(*robots, count, seed, executor, progress, imperfections, counts)
+        count, counts = (QUICK_DRAWS, QUICK_COUNTS) if quick else (DRAWS, COUNTS)
+        work = Work(executor, output.working)
+        experiment = run_experiment(*robots, draws or count, seed, work, imperfections, counts)
     _finish(experiment_report(experiment), out, output, shown=("table4", "table5"))
 
 
@@ -217,14 +215,13 @@ def touch_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int
     """Calibrate without a tracker: by touched sockets, and by encoders on passive joints. Everything is simulated."""
     output.check(folders=(out,))
     with Workers(jobs) as executor:  # they start while the rest is loaded
+        from medrue.draws import Work
         from medrue.reports import touch_report
         from medrue.touch import QUICK, SIZE, run_touch
 
         size = QUICK if quick else SIZE
         size = replace(size, noise_draws=draws or size.noise_draws)
-        study = run_touch(
-            load(robot_file()), size, seed, executor, SilentProgress() if output.quiet else TerminalBars()
-        )
+        study = run_touch(load(robot_file()), size, seed, Work(executor, output.working))
     _finish(touch_report(study), out, output, shown=("world", "shape"))
 
 

@@ -17,10 +17,9 @@ from medrue.both_sides_tables import (
     mean_x,
     pose_count_table,
 )
-from medrue.draws import PoseSet
+from medrue.draws import PoseSet, Work
 from medrue.imperfections import STRAIGHT, Imperfections, RailErrors, from_direction, imperfect_robot
 from medrue.paper_tables import table3
-from medrue.progress import SilentProgress
 from medrue.workspace import target_workspace
 
 pytestmark = pytest.mark.quick(0)
@@ -33,7 +32,7 @@ def both_sides(robot, extended):
     """One robot; 42 uniform poses, and 10 chosen ones."""
     joints = np.array(target_workspace().q)[::4]
     first, seeds = PoseSet("uniform", np.flatnonzero(np.arange(105) % 5 < 2)), np.random.SeedSequence(7).spawn(1)
-    return run_both_sides(robot, extended, joints, first, (10,), Imperfections(), seeds, None, SilentProgress())
+    return run_both_sides(robot, extended, joints, first, (10,), Imperfections(), seeds, Work())
 
 
 def cells(table):

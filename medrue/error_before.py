@@ -26,7 +26,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.units import millimetres
 from calib.core.numerics.rigid import best_transform
-from medrue.closed_form import base_in_world, forward, name_parameters
+from medrue.closed_form import base_in_world, forward, homogeneous, name_parameters, rotation_x, rotation_y, rotation_z
 from medrue.closed_form_inverse import WorkingMode, inverse
 from medrue.paper_tables import (
     ANCHORS,
@@ -39,7 +39,6 @@ from medrue.paper_tables import (
     table1,
     table3,
 )
-from medrue.rotations import homogeneous, rotation_x, rotation_y, rotation_z
 from medrue.workspace import LEAN_AT_END, RADIUS, TWIST_SPREAD, target_workspace
 
 GROUPS = (

@@ -33,6 +33,8 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 
 TILTED_JOINTS = ("q2", "q3", "q4", "q5", "B1", "D1", "B2", "D2")
+_CAUSES = {"lead error": "lead", "links out of perpendicular": "tilt", "backlash of the rail": "backlash"}
+"""Causes of errors, and the attribute of `Imperfections` with the size of each."""
 STROKE = 0.7
 """Stroke of the rail [m]."""
 
@@ -55,12 +57,8 @@ class Imperfections:
     def causes(self) -> dict[str, Imperfections]:
         """Each cause alone, by its name."""
         none = Imperfections(0.0, 0.0, 0.0)
-        return {
-            "tracker noise alone": none,
-            "lead error": replace(none, lead=self.lead),
-            "links out of perpendicular": replace(none, tilt=self.tilt),
-            "backlash of the rail": replace(none, backlash=self.backlash),
-        }
+        alone = {name: replace(none, **{size: getattr(self, size)}) for name, size in _CAUSES.items()}
+        return {"tracker noise alone": none, **alone}
 
     @property
     def sizes(self) -> dict[str, str]:
@@ -73,12 +71,8 @@ class Imperfections:
 
     def __str__(self) -> str:
         """The imperfections in words."""
-        present = {
-            "lead error": self.lead,
-            "links out of perpendicular": self.tilt,
-            "backlash of the rail": self.backlash,
-        }
-        return ", ".join(f"{name} of {self.sizes[name]}" for name, size in present.items() if size) or "nothing more"
+        present = [f"{name} of {self.sizes[name]}" for name, size in _CAUSES.items() if getattr(self, size)]
+        return ", ".join(present) or "nothing more"
 
 
 @dataclass(frozen=True)

@@ -59,6 +59,11 @@ class Table1:
     identified_with_noise: NDArray[np.float64]
     redundant: tuple[str, ...]
 
+    @property
+    def reach(self) -> NDArray[np.float64]:
+        """Largest errors of the actual parameters that the paper draws, (36,) [m, rad]."""
+        return np.where(np.array(self.units) == "m", 2e-3, np.radians(1.5))
+
 
 @cache
 def table1() -> Table1:
@@ -70,12 +75,9 @@ def table1() -> Table1:
     Raises:
         ValueError: The file does not list the parameters in the expected order, or holds an unknown unit.
     """
-    rows = _rows("table1.csv")
-    names = tuple(row["parameter"] for row in rows)
-    if names != PARAMETERS:
-        raise ValueError(f"paper/table1.csv lists {names}, expected {PARAMETERS}")
+    rows = _parameter_rows("table1.csv")
     return Table1(
-        names=names,
+        names=PARAMETERS,
         units=tuple("m" if row["unit"] == "mm" else "rad" for row in rows),
         nominal=_column(rows, "nominal"),
         nominal_as_printed=_column(rows, "nominal_as_printed"),
@@ -106,10 +108,7 @@ def table3() -> Table3:
     Raises:
         ValueError: The file does not list the parameters in the expected order, or holds an unknown unit.
     """
-    rows = _rows("table3.csv")
-    names = tuple(row["parameter"] for row in rows)
-    if names != PARAMETERS:
-        raise ValueError(f"paper/table3.csv lists {names}, expected {PARAMETERS}")
+    rows = _parameter_rows("table3.csv")
     return Table3(nominal=_column(rows, "nominal"), identified=_column(rows, "identified"))
 
 
@@ -137,6 +136,15 @@ def error_table(number: int) -> ErrorTable:
 def _rows(name: str) -> list[dict[str, str]]:
     text = files("medrue").joinpath("paper", name).read_text(encoding="utf-8")
     return list(csv.DictReader(text.splitlines()))
+
+
+def _parameter_rows(name: str) -> list[dict[str, str]]:
+    """Rows of a table of parameters, which must be those of `PARAMETERS`."""
+    rows = _rows(name)
+    names = tuple(row["parameter"] for row in rows)
+    if names != PARAMETERS:
+        raise ValueError(f"paper/{name} lists {names}, expected {PARAMETERS}")
+    return rows
 
 
 def _column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:

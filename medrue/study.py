@@ -28,7 +28,7 @@ from calib.core.robots.robot import Robot
 from calib.planning.selection import Selection, select
 from medrue.closed_form import forward
 from medrue.draws import DrawOutcome, DrawTask, PoseSet, Work, measurements, run
-from medrue.paper_tables import table1
+from medrue.paper_tables import PARAMETERS, table1
 from medrue.poses import target_poses
 
 INDICES = ("O1", "O2", "O3", "O4", "O5", "task")
@@ -182,10 +182,8 @@ def draw_parameters(robot: Robot, seed: np.random.SeedSequence) -> FloatArray:
         robot: The nominal robot.
         seed: Seed of this draw.
     """
-    table = table1()
-    reach = np.where(np.array(table.units) == "m", 2e-3, np.radians(1.5)) * robot.is_free
-    drawn: FloatArray = table.nominal + reach * np.random.default_rng(seed).uniform(-1.0, 1.0, len(reach))
-    return drawn
+    draws = np.random.default_rng(seed).uniform(-1.0, 1.0, len(PARAMETERS))
+    return np.asarray(table1().nominal + table1().reach * robot.is_free * draws)
 
 
 def _tasks_of_other_robots(

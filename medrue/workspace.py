@@ -39,10 +39,18 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, Array, forward
+from medrue.closed_form import (
+    ACTUATED_JOINTS,
+    PASSIVE_JOINTS,
+    Array,
+    forward,
+    homogeneous,
+    rotation_x,
+    rotation_y,
+    rotation_z,
+)
 from medrue.closed_form_inverse import inverse
 from medrue.paper_tables import table1
-from medrue.rotations import homogeneous, rotation_x, rotation_y, rotation_z
 
 AXIS_START = (-0.113, 0.340, -0.040)
 """Start of the leg's axis in the world [m]."""

@@ -23,9 +23,8 @@ HOME_Q = np.array([[HOME[name] for name in ACTUATED_JOINTS]])
 
 def perturbed_parameters(count, seed):
     """Parameter sets within 2 mm and 1.5 degrees of nominal, `(count, 36)`."""
-    table = table1()
-    reach = np.where(np.array(table.units) == "m", 0.002, np.radians(1.5))
-    return table.nominal + np.random.default_rng(seed).uniform(-1.0, 1.0, (count, len(PARAMETERS))) * reach
+    draws = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, len(PARAMETERS)))
+    return table1().nominal + table1().reach * draws
 
 
 def nominal_with(**changes):

@@ -60,12 +60,11 @@ def by_encoders():
 
 def slopes(outputs):
     """Derivative of closed-form outputs by the 36 parameters, in units of 2 mm and 1.5 deg, by central differences."""
-    scale = np.where(np.array(table1().units) == "m", 2e-3, np.radians(1.5))
     columns = []
     for k in range(len(PARAMETERS)):
         step = STEP * np.eye(len(PARAMETERS))[k]
         columns.append((outputs(table1().nominal + step) - outputs(table1().nominal - step)).ravel() / (2 * STEP))
-    return np.array(columns).T * scale
+    return np.array(columns).T * table1().reach
 
 
 def rank(matrix):

@@ -93,10 +93,9 @@ def test_poses_stay_reachable_with_parameter_errors():
     """300 robots within 2 mm and 1.5 degrees, half of them at corners: same modes, inside the stroke."""
     generator = np.random.default_rng(44)
     workspace, table = target_workspace(), table1()
-    reach = np.where(np.array(table.units) == "m", 0.002, np.radians(1.5))
     for draw in range(300):
         errors = generator.uniform(-1.0, 1.0, len(PARAMETERS))
-        parameters = table.nominal + (np.sign(errors) if draw % 2 else errors) * reach
+        parameters = table.nominal + (np.sign(errors) if draw % 2 else errors) * table.reach
         closed = forward(workspace.q, parameters)
         assert closed.closes.all()
         assert (np.sign(closed.passive[:, :4]) == (1, -1, 1, -1)).all()

@@ -64,18 +64,21 @@ EXTENDED = Way("extended, both sides", True, "both")
 WAYS = (PAPER, EXTENDED, Way("extended, either side", True, "either"), Way("extended, one side", True, "one"))
 
 
+RAIL = RailErrors()
+"""Smaller errors of the rail of every robot that is measured from both sides."""
+
+
 @dataclass(frozen=True, eq=False)
-class BothSidesTask:
-    """One simulated robot, measured from both sides.
+class ExperimentTask:
+    """One simulated robot to measure.
 
     Attributes:
         robot: Nominal MedRUE with the paper's parameters.
-        extended: The extended model, nominal.
+        extended: The extended model, nominal; the truth is made of it.
         joints: Poses, (n, 6) [m, rad].
         sets: Pose sets to identify with.
         imperfections: Sizes of what the paper's parameters leave out.
-        rail: Smaller errors of the rail.
-        seed: Seed of this draw, the same as in `medrue.experiment.ExperimentTask`.
+        seed: Seed of this draw.
     """
 
     robot: Robot
@@ -83,7 +86,6 @@ class BothSidesTask:
     joints: FloatArray
     sets: tuple[PoseSet, ...]
     imperfections: Imperfections
-    rail: RailErrors
     seed: np.random.SeedSequence
 
 
@@ -115,14 +117,12 @@ class BothSides:
         extended: The extended model, nominal.
         joints: Poses, (n, 6) [m, rad].
         sets: Pose sets: the paper's 84 of O1, then one for each number of poses, chosen by O1 of the extended model.
-        rail: Smaller errors of the rail.
         draws: Simulated robots, those of the experiment.
     """
 
     extended: Robot
     joints: FloatArray
     sets: tuple[PoseSet, ...]
-    rail: RailErrors
     draws: tuple[BothSidesDraw, ...]
 
     def errors(self, way: Way, s: int) -> FloatArray:
@@ -162,18 +162,18 @@ def run_both_sides(
     """
     choose = partial(select, extended, joints, index="O1", sigma=SIGMA)
     chosen = work.results("choosing poses for the extended model", choose, counts)
-    sets, rail = (first, *(PoseSet(f"{len(s.chosen)}", np.sort(s.chosen)) for s in chosen)), RailErrors()
-    tasks = [BothSidesTask(robot, extended, joints, sets, imperfections, rail, seed) for seed in seeds]
+    sets = (first, *(PoseSet(f"{len(s.chosen)}", np.sort(s.chosen)) for s in chosen))
+    tasks = [ExperimentTask(robot, extended, joints, sets, imperfections, seed) for seed in seeds]
     draws = work.results("measurements from both sides", both_sides_draw, tasks)
-    return BothSides(extended, joints, sets, rail, tuple(draws))
+    return BothSides(extended, joints, sets, tuple(draws))
 
 
 @one_blas_thread
-def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
+def both_sides_draw(task: ExperimentTask) -> BothSidesDraw:
     """Build one imperfect robot, measure it from both sides, and calibrate it in every way from every set of poses."""
     actual = task.robot.with_parameters(table3().identified)
     truth = imperfect_robot(
-        task.extended, actual, task.imperfections, np.random.default_rng(task.seed), task.rail
+        task.extended, actual, task.imperfections, np.random.default_rng(task.seed), RAIL
     )  # the tilts are the first numbers of that generator, as in the experiment
     generator = np.random.default_rng(np.random.SeedSequence(task.seed.entropy, spawn_key=(*task.seed.spawn_key, 0)))
     n = len(task.joints)

@@ -9,7 +9,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun
-from medrue.both_sides import EXTENDED, PAPER, WAYS, BothSides, Way
+from medrue.both_sides import EXTENDED, PAPER, RAIL, WAYS, BothSides, Way
 from medrue.ranking import standard_error
 from medrue.result_tables import Cell, ResultTable, TableColumn
 from medrue.study import STATISTICS, summary
@@ -79,7 +79,7 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
             f" {quantity_text(NOISE * np.sqrt(2 / np.pi), 'mm', '.4f')}",
             "both sides: two visits of each pose; either side: one visit, from a side that chance decides; one side:"
             " one visit, in the positive direction; empty: too few readings for the model",
-            f"{both_sides.rail}; the last two are in no model",
+            f"{RAIL}; the last two are in no model",
         ),
     )
 
@@ -104,7 +104,7 @@ def extended_parameter_table(both_sides: BothSides) -> ResultTable:
             "simulated; first draw; only parameters whose std is less than half of the expected error: the others rest"
             " on their priors",
             "the actual value is half of the backlash at the rail's ends; a model without wear finds the average over"
-            f" the stroke, which is {200 / np.pi * both_sides.rail.wear:.1f} % larger",
+            f" the stroke, which is {200 / np.pi * RAIL.wear:.1f} % larger",
         ),
     )
 

@@ -13,7 +13,7 @@ import click
 import numpy as np
 
 from calib.core.base.files import write_folder
-from calib.core.base.units import from_unit, millimetres, quantity_text
+from calib.core.base.units import from_unit
 from calib.core.base.words import count_noun, listing
 from calib.core.base.workers import Workers
 from calib.core.commands.common import Output, shared_options
@@ -107,21 +107,24 @@ def poses_command(out: str, output: Output) -> None:
     output.check(out)
     robot = load(robot_file())
     with output.working("solving 420 poses"):
-        targets = target_poses(robot)
+        poses = target_poses(robot)
+        facts: Any = pose_facts(robot, poses)
     comments = (
         "420 poses on a half cylinder, 300 mm by 700 mm, around a patient's leg",
         "joint values by inverse kinematics through the closed loops, nominal parameters; tool: nominal position",
     )
-    output.write(out, format_positions(robot, targets.poses, targets.positions, comments))
-    output.json(pose_facts(targets))
+    output.write(out, format_positions(robot, poses, robot.positions(poses.joints), comments))
+    output.json(facts)
+    (least, most), (mean, largest) = facts["q1_mm"], facts["probe_tilt_mean_and_largest_deg"]
     output.say(
-        f"{len(targets.poses)} poses written to {out}\n"
-        f"largest difference from the closed-form inverse: {targets.difference:.1e} (m, rad)\n"
-        f"q1 from {millimetres(targets.stroke[0]):.1f} to {quantity_text(targets.stroke[1], 'mm', '.1f')} of 700 mm;"
-        f" probe tilted by {quantity_text(targets.tilt[0], 'deg', '.1f')} on average,"
-        f" {quantity_text(targets.tilt[1], 'deg', '.1f')} at most\n"
-        f"nearest to a singular pose: smallest singular value of the loops {targets.singular_value:.3f}, smallest sine"
-        f" between two links {targets.sine:.3f} (0 is singular)"
+        f"{len(poses)} poses written to {out}\n"
+        "largest difference from the closed-form inverse:"
+        f" {facts['largest_difference_from_closed_form_m_rad']:.1e} (m, rad)\n"
+        f"q1 from {least:.1f} to {most:.1f} mm of 700 mm; probe tilted by {mean:.1f} deg on average, {largest:.1f} deg"
+        " at most\n"
+        "nearest to a singular pose: smallest singular value of the loops"
+        f" {facts['smallest_singular_value_of_the_loops']:.3f}, smallest sine between two links"
+        f" {facts['smallest_sine_between_links']:.3f} (0 is singular)"
     )
 
 

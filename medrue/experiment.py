@@ -22,7 +22,7 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.fitting.fit import fit_data
 from calib.core.fitting.settings import Settings
 from calib.core.robots.robot import Robot
-from medrue.both_sides import COUNTS, BothSides, run_both_sides
+from medrue.both_sides import COUNTS, BothSides, ExperimentTask, run_both_sides
 from medrue.draws import PoseSet, Work, measurements
 from medrue.imperfections import Imperfections, approach_in_order, imperfect_robot
 from medrue.paper_tables import table3
@@ -33,27 +33,6 @@ from medrue.tracker import REPEATS, SIGMA, measure
 DRAWS = 20
 """Simulated experiments: robots with other imperfections and other noise."""
 QUICK_DRAWS = 2
-
-
-@dataclass(frozen=True, eq=False)
-class ExperimentTask:
-    """One simulated experiment.
-
-    Attributes:
-        robot: Nominal MedRUE.
-        extended: The extended model, nominal; the truth is made of it.
-        joints: Poses, (n, 6) [m, rad].
-        sets: Pose sets to identify with.
-        imperfections: Sizes of what the parameters leave out.
-        seed: Seed of this draw.
-    """
-
-    robot: Robot
-    extended: Robot
-    joints: FloatArray
-    sets: tuple[PoseSet, ...]
-    imperfections: Imperfections
-    seed: np.random.SeedSequence
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +114,7 @@ def run_experiment(
         imperfections: Sizes of what the parameters leave out.
         counts: Numbers of poses to measure from both sides.
     """
-    joints = target_poses(robot).poses.joints
+    joints = target_poses(robot).joints
     _, sets = choose_sets(robot, joints, work)
     seeds = np.random.SeedSequence(seed).spawn(draws)
     tasks = [ExperimentTask(robot, extended, joints, sets, imperfections, child) for child in seeds]

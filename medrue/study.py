@@ -110,7 +110,7 @@ class PaperStudy:
 
 def run_study(robot: Robot, size: StudySize, seed: int, work: Work) -> PaperStudy:
     """Run the study of MedRUE with nominal parameters; the same seed gives the same numbers."""
-    joints = target_poses(robot).poses.joints
+    joints = target_poses(robot).joints
     truth = true_positions(joints, table1().actual)
     selections, sets = choose_sets(robot, joints, work)
     noise_seeds, actual_seeds = np.random.SeedSequence(seed).spawn(2)

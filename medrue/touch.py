@@ -117,7 +117,7 @@ class TouchStudy:
 
 def run_touch(robot: Robot, size: StudySize, seed: int, work: Work) -> TouchStudy:
     """Calibrate simulated robots in every way, from nominal parameters; the same seed gives the same numbers."""
-    joints = target_poses(robot).poses.joints
+    joints = target_poses(robot).joints
     methods, selections = choose_methods(robot, joints)
     errors = work.results("choosing poses", partial(predicted_error, robot, joints), ARTEFACTS[1:])
     artefacts = dict(zip(ARTEFACTS, [selections["touch"].after["task"], *errors], strict=True))

@@ -69,13 +69,6 @@ def test_positions_from_both_sides_determine_54_combinations(extended):
     assert not unseen & {f"{name}.{tilt}" for name in ("q3", "D1", "q5", "D2") for tilt in ("ry", "rz")}
 
 
-@pytest.mark.parametrize(("name", "least", "most"), [("q2.ry", 0.0, 1e-9), ("B1.rz", 0.0, 1e-9), ("D1.ry", 1e-2, 1.0)])
-def test_so_say_finite_differences(extended, name, least, most):
-    q = np.array(target_workspace().q[::100])
-    up, down = (extended.with_parameters({name: step}).positions(q) for step in (1e-4, -1e-4))
-    assert least <= np.abs(up - down).max() / 2e-4 <= most
-
-
 def test_wear_and_bend_move_the_tool_as_the_docstring_says(robot, extended):
     actual, usual = robot.with_parameters(table3().identified), Imperfections(1e-3, 0.0, 0.0)
     joints, approach = np.array(target_workspace().q[::50]), np.tile([1.0, -1.0, 1.0], 3)

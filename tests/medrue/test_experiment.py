@@ -9,11 +9,11 @@ from click.testing import CliRunner
 
 from calib import read_measurements
 from calib.planning.selection import select
-from medrue.both_sides import QUICK_COUNTS, run_both_sides
+from medrue.both_sides import QUICK_COUNTS, ExperimentTask, run_both_sides
 from medrue.cli import group
 from medrue.closed_form import forward
 from medrue.draws import PoseSet, Work
-from medrue.experiment import QUICK_DRAWS, Experiment, ExperimentTask, experiment_draw
+from medrue.experiment import QUICK_DRAWS, Experiment, experiment_draw
 from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
 from medrue.imperfections import TILTED_JOINTS, Imperfections, approach_in_order, imperfect_robot
 from medrue.paper_tables import error_table, table3

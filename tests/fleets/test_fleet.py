@@ -198,19 +198,6 @@ def check_minimum(fit, known, data):
 
 
 @pytest.mark.quick(0)
-def test_a_robot_that_was_repaired_is_named_and_keeps_what_else_the_fleet_knows(results):
-    robot, _, folders, mean = results
-    fleet, rng = calib.fleet(*folders[1:]), np.random.default_rng(8)
-    truth = fleet_figures.one_more(robot, mean, rng)
-    repaired = truth.with_parameters({"joint_3.rz": dict_of(truth)["joint_3.rz"] + 0.02})
-    fit = calib.fit(fleet.robot, calib.simulate(repaired, robot.sample(20, rng), seed=rng))
-    assert fit.nominal.description.fleet.unlike == ("joint_3.rz",)
-    text = {reason.code: reason.text for reason in fit.verdict.reasons}["unlike_fleet"]
-    assert text.startswith("this robot is unlike the 3 robots of its fleet in joint_3.rz")
-    assert abs(dict_of(fit.robot)["joint_3.rz"] - dict_of(repaired)["joint_3.rz"]) < 0.002
-
-
-@pytest.mark.quick(0)
 def test_the_answer_fits_on_a_screen_and_the_rest_comes_with_verbose(results):
     robot, _, folders, _ = results
     shown, everything = run(*folders).output, run(*folders, "--verbose").output

@@ -8,7 +8,6 @@ import pytest
 from click.testing import CliRunner
 
 import calib
-from calib.core.base.errors import InputError
 from calib.core.robots.robot_files import urdf_of_origins
 from calib.exporting.dh_tables import dh_table, table_poses
 from calib.shared.denavit_hartenberg import DhRow
@@ -247,8 +246,3 @@ def test_joints_of_nearly_parallel_axes_stand_inside_the_robot(tmp_path: Path) -
     q = np.random.default_rng(3).uniform(-3, 3, (40, 6))
     expected = np.array([textbook("standard", rows, "", row) for row in q])
     assert np.allclose(flange_poses(robot, q), expected, rtol=0, atol=1e-11)  # 278 m have roundings of 6e-14 m
-
-
-def test_a_missing_table_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        read_dh(tmp_path / "nowhere.csv")

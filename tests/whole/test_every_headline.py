@@ -224,32 +224,6 @@ def test_a_plan_says_which_changes_show_and_which_never_do(commands, run_calib, 
 # check
 
 
-def uncertainty(robot, names, q, task, sigma, priors=()):
-    """Covariance of errors of positions at the task from noise at q and expected errors [m or rad], (3 n, 3 n)."""
-    slope, there = derivative(robot, q, names), derivative(robot, task, names)
-    information = slope.T @ slope / sigma**2
-    if len(priors):
-        information += np.diag(1.0 / np.square(priors))
-    return there @ np.linalg.inv(information) @ there.T
-
-
-@pytest.mark.quick(0)
-def test_the_predicted_error_counts_noise_and_where_there_are_any_expected_errors(commands):
-    base = commands.checked["base"]
-    names = [p.name for p in base.parameters]
-    spread = uncertainty(commands.few_free[0], names, joints(20, 3), joints(20, 3), h.SIGMA)
-    said = r"position error ([\d.]+) mm RMS, .*, from measurement noise alone\."
-    assert numbers_of(said, commands.check_texts["base"]) == pytest.approx(
-        [1e3 * np.sqrt(np.trace(spread) / 20)], abs=1e-4
-    )
-    robot, sigmas = commands.robot, [p.sigma_si if p.prior else np.inf for p in commands.robot.parameters]
-    names = [p.name for p in robot.parameters]
-    spread = uncertainty(robot, names, joints(3, 3), joints(20, 4), 1e-7, sigmas)
-    said = r"position error ([\d.]+) mm RMS, .* noise and the expected errors of the parameters alone\."
-    by_both = [1e3 * np.sqrt(np.trace(spread) / 20)]  # 0.1 um is as good as the 1 nm that is asked for
-    assert numbers_of(said, commands.check_texts["priors"]) == pytest.approx(by_both, rel=1e-3)
-
-
 def test_changes_that_no_reading_shows_move_nothing(commands):
     texts, robot = commands.check_texts, commands.few_free[0]
     said = re.search(r"These poses cannot tell apart: (.*?) To determine", texts["still"])[1]
@@ -318,24 +292,6 @@ def test_a_verdict_that_is_not_pass_is_noted(commands):
 
 
 # watch
-
-
-@pytest.mark.quick(0)
-def test_the_predicted_error_is_that_of_the_covariance(commands):
-    told, robot = commands.watched["twelve"], commands.few_free[0]
-    by = derivative(told.fit.robot, joints(30, 8), told.fit.covariance.names)
-    expected = 1e3 * np.sqrt(np.trace(by @ told.fit.covariance.values @ by.T) / 30)
-    said = r"predicted error [\d.]+ mm RMS .* over (\d+) candidates; more poses lower ([\d.]+) mm of it"
-    assert numbers_of(said, commands.watch_texts["twelve"]) == pytest.approx([30, expected], rel=5e-3)
-    assert int(np.sum(robot.is_free)) >= 3 * 3  # three poses are no calibration
-
-
-def test_more_poses_do_not_help_where_the_model_or_the_noise_is_what_is_left(commands):
-    """A wave of the slide that no parameter has; and readings that scatter by 0.35 mm, with a goal of 0.25 mm."""
-    for name in ("bent", "noisy"):
-        told = commands.watched[name]
-        assert told.lowered.high95 < told.goal < told.unseen.low95
-    assert commands.watched["noisy"].fit.sigma * np.sqrt(3) > commands.watched["noisy"].goal
 
 
 def test_a_goal_below_the_scatter_of_the_readings_is_told(commands):

@@ -250,9 +250,7 @@ def _compared(given: Sequence[Fit | Path | str], results: Sequence[_Result]) -> 
 def _own_error(result: _Result, unit: str) -> tuple[float, str]:
     """Root mean square error of a result on its own readings, and which these are."""
     content = result.loaded.content
-    best = next((name for name in _ERRORS if name in content["errors"]), None)
-    if best is None:
-        raise DataError(f"{result.name}: its result.json has no errors; run the fit again")
+    best = next(name for name in _ERRORS if name in content["errors"])
     value, claim = content["errors"][best]["after"]["rms"], content["verdict"].get("claim")
     if best == "identification" and claim and claim["unit"] == unit:  # errors at used readings are always smaller
         best, value = "cross_validation", claim["rms"]

@@ -25,15 +25,11 @@ def robot_of(folder, name):
     return calib.load(folder / "robot.yaml")
 
 
-def poses_of(robot, name, count, seed=3):
-    rng = np.random.default_rng(seed)
-    return robot.home + rng.uniform(-REACH[name], REACH[name], (count, len(robot.joint_names)))
-
-
 def case(folder, name):
     """Lengths of a template, its robot, and 30 poses."""
     robot = robot_of(folder, name)
-    return LENGTHS[name], robot, poses_of(robot, name, 30)
+    off = np.random.default_rng(3).uniform(-REACH[name], REACH[name], (30, len(robot.joint_names)))
+    return LENGTHS[name], robot, robot.home + off
 
 
 def unit(angle):

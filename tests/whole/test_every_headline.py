@@ -224,25 +224,6 @@ def test_a_plan_says_which_changes_show_and_which_never_do(commands, run_calib, 
 # check
 
 
-def test_changes_that_no_reading_shows_move_nothing(commands):
-    texts, robot = commands.check_texts, commands.few_free[0]
-    said = re.search(r"These poses cannot tell apart: (.*?) To determine", texts["still"])[1]
-    still = joints(20, 3) * [1, 0, 0] + [0, 0.3, 0.2]
-    units = {"mm": 1e-3, "deg": np.pi / 180}
-    terms = re.findall(r"(?:(from|\+) )?(?:([\d.e-]+) (mm|deg) of )?(-?)([a-z]\w*\.\w+)", said)
-    groups: list[dict[str, float]] = []
-    side = 1.0
-    for link, amount, unit, minus, name in terms:
-        side = {"": 1.0, "from": -1.0, "+": side}[link]
-        if not link:
-            groups.append({})
-        groups[-1][name] = side * (-1 if minus else 1) * float(amount or 1) * units[unit or "mm"]
-    assert len(groups) == 2, said
-    for group in groups:
-        by = derivative(robot, still, list(group))
-        assert h.rms(by @ list(group.values())) < 2e-3 * 1e-3  # digits shown
-
-
 # select
 
 

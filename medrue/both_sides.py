@@ -148,17 +148,9 @@ def run_both_sides(
     seeds: Sequence[np.random.SeedSequence],
     work: Work,
 ) -> BothSides:
-    """Measure and calibrate the robots of the experiment from both sides.
+    """Measure and calibrate the robots of the experiment's seeds from both sides.
 
-    Args:
-        robot: MedRUE with the paper's parameters, nominal.
-        extended: The extended model, nominal.
-        joints: Poses, (n, 6) [m, rad].
-        first: The paper's set of poses.
-        counts: Numbers of poses.
-        imperfections: Sizes of what the paper's parameters leave out.
-        seeds: Seeds of the experiment's draws.
-        work: How the draws are run.
+    `joints` are the poses, (n, 6) [m, rad], of which the paper's set comes first, and then sets of these counts.
     """
     choose = partial(select, extended, joints, index="O1", sigma=SIGMA)
     chosen = work.results("choosing poses for the extended model", choose, counts)

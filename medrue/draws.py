@@ -157,11 +157,7 @@ def run_chunk(task: DrawTask) -> DrawOutcome:
 class Calibrator:
     """Calibrates from one set of poses, again and again.
 
-    Args:
-        task: Robot, poses and truth.
-        pose_set: Poses to identify with.
-        start: A robot identified from exact measurements.
-        nearby: Its passive joints at the candidates, (n, n_passive) [m, rad].
+    It starts from a robot identified from exact measurements, with its passive joints nearby, (n, n_passive) [m, rad].
     """
 
     def __init__(self, task: DrawTask, pose_set: PoseSet, start: Robot, nearby: FloatArray) -> None:

@@ -96,11 +96,7 @@ def base_placed(nominal: FloatArray, true: FloatArray) -> FloatArray:
 
 
 def signs(q: FloatArray) -> Iterator[tuple[DistanceSummary, DistanceSummary]]:
-    """Errors of Tables II and IV with the deviations of every combination of groups reversed.
-
-    Args:
-        q: Joint values, (n, 6) [m, rad].
-    """
+    """Errors of Tables II and IV at joint values (n, 6) [m, rad], any combination of groups having the other sign."""
     nominal = table1().nominal
     for reversed_groups in product((1.0, -1.0), repeat=len(GROUPS)):
         factor = np.ones(len(PARAMETERS))
@@ -111,11 +107,7 @@ def signs(q: FloatArray) -> Iterator[tuple[DistanceSummary, DistanceSummary]]:
 
 
 def rotation_orders(q: FloatArray) -> dict[str, tuple[DistanceSummary, DistanceSummary]]:
-    """Errors of Tables II and IV with the base's three angles read otherwise.
-
-    Args:
-        q: Joint values, (n, 6) [m, rad].
-    """
+    """Errors of Tables II and IV at joint values (n, 6) [m, rad], the base's three angles read otherwise."""
     nominal = forward(q, table1().nominal).p_world_tool
     errors_by_order: dict[str, list[DistanceSummary]] = {"Rx Ry Rz": [], "transposed": []}
     for parameters in _robots():
@@ -131,9 +123,7 @@ def rotation_orders(q: FloatArray) -> dict[str, tuple[DistanceSummary, DistanceS
 def placements(step: float = 0.1, turns: int = 8) -> Iterator[tuple[DistanceSummary, DistanceSummary]]:
     """Errors of Tables II and IV on 60 poses of every reachable half cylinder.
 
-    Args:
-        step: Distance of the places tried for its axis [m].
-        turns: Number of directions of its middle.
+    The places of its axis are `step` apart [m], the directions of its middle are `turns`.
     """
     n = 60
     steps = np.arange(n)

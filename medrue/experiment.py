@@ -103,16 +103,10 @@ def run_experiment(
     imperfections: Imperfections,
     counts: tuple[int, ...] = COUNTS,
 ) -> Experiment:
-    """Run the simulated experiment.
+    """Run the simulated experiment of MedRUE and the extended model, both with nominal parameters.
 
-    Args:
-        robot: MedRUE with nominal parameters.
-        extended: The extended model with nominal parameters.
-        draws: How many experiments to simulate, with all causes and with each alone.
-        seed: Seed; the same one gives the same numbers.
-        work: How the draws are run.
-        imperfections: Sizes of what the parameters leave out.
-        counts: Numbers of poses to measure from both sides.
+    So many draws are done with all causes and with each alone, and then from both sides, with these counts of poses.
+    The same seed gives the same numbers.
     """
     joints = target_poses(robot).joints
     _, sets = choose_sets(robot, joints, work)

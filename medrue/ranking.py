@@ -81,12 +81,7 @@ class Ranking:
 
 
 def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
-    """Rank sets of poses.
-
-    Args:
-        names: The sets.
-        errors: One error for each draw and set, (n_draws, n_sets).
-    """
+    """Rank sets of poses by one error for each draw and set, (n_draws, n_sets)."""
     means = errors.mean(axis=0)
     order = np.argsort(means, kind="stable")
     n = len(errors)
@@ -101,11 +96,7 @@ def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
 
 
 def ranking_table(rankings: dict[str, Ranking]) -> ResultTable:
-    """Every pair of sets.
-
-    Args:
-        rankings: Rankings of the same sets over the same draws, of errors in mm, by what was ranked.
-    """
+    """Return every pair of sets, from rankings of them over the same draws, of errors in mm, by what was ranked."""
     first = next(iter(rankings.values()))
     names = sorted(first.names)
     rows: list[list[Cell]] = []

@@ -128,11 +128,7 @@ def run_study(robot: Robot, size: StudySize, seed: int, work: Work) -> PaperStud
 
 
 def true_positions(joints: FloatArray, parameters: FloatArray) -> FloatArray:
-    """Positions of the tool by the closed form, (n, 3) [m].
-
-    Args:
-        joints: Motors, (n, 6) [m, rad].
-        parameters: The paper's 36, (36,) [m, rad].
+    """Positions of the tool by the closed form, (n, 3) [m], from joints (n, 6) and parameters (36,) [m, rad].
 
     Raises:
         ValueError: A pose does not close with these parameters.
@@ -176,12 +172,7 @@ def error_floors(robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], si
 
 
 def draw_parameters(robot: Robot, seed: np.random.SeedSequence) -> FloatArray:
-    """Actual parameters drawn as the paper's: within +-2 mm and +-1.5 deg, the redundant ones nominal, (36,) [m, rad].
-
-    Args:
-        robot: The nominal robot.
-        seed: Seed of this draw.
-    """
+    """Actual parameters drawn as the paper's, within +-2 mm and +-1.5 deg, the held ones nominal, (36,) [m, rad]."""
     draws = np.random.default_rng(seed).uniform(-1.0, 1.0, len(PARAMETERS))
     return np.asarray(table1().nominal + table1().reach * robot.is_free * draws)
 

@@ -57,14 +57,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Protocol:
-    """All checks of a qualification.
-
-    Attributes:
-        checks: Checks in the order in which they ran.
-        machine: Facts of the machine and of the program, by name.
-        started: Date and time, ISO 8601.
-        seconds: Duration of all checks [s].
-    """
+    """Checks of a qualification in their order, facts of the machine by name, start (ISO 8601) and duration [s]."""
 
     checks: tuple[Check, ...]
     machine: dict[str, str]

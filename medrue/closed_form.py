@@ -133,13 +133,7 @@ def forward(q: ArrayLike, parameters: ArrayLike) -> ClosedForm:
 
 
 def five_bar(i: int, q: Array, named: Named) -> FiveBar:
-    """The points of five-bar i (equations 4 to 12), NaN where it does not close.
-
-    Args:
-        i: 1 or 2.
-        q: Joint values, `(n, 6) [m, rad]`.
-        named: Parameters by name, each `(n,)`.
-    """
+    """The points of five-bar i (1 or 2) at joint values `(n, 6) [m, rad]` (equations 4 to 12), NaN if it stays open."""
     A, C, x_axis = anchors(i, named)
     L1, L2, L3, L4 = (named[f"L{i}{j}"] for j in (1, 2, 3, 4))
     angle_A = q[:, 2 * i - 1] + named[f"dq{2 * i}"]

@@ -67,14 +67,7 @@ class Table1:
 
 @cache
 def table1() -> Table1:
-    """Read Table I from the package.
-
-    Returns:
-        The table; its arrays are read-only.
-
-    Raises:
-        ValueError: The file does not list the parameters in the expected order, or holds an unknown unit.
-    """
+    """Read Table I from the package; its arrays are read-only."""
     rows = _parameter_rows("table1.csv")
     return Table1(
         names=PARAMETERS,
@@ -103,11 +96,7 @@ class Table3:
 
 @cache
 def table3() -> Table3:
-    """Read Table III from the package.
-
-    Raises:
-        ValueError: The file does not list the parameters in the expected order, or holds an unknown unit.
-    """
+    """Read Table III from the package; its arrays are read-only."""
     rows = _parameter_rows("table3.csv")
     return Table3(nominal=_column(rows, "nominal"), identified=_column(rows, "identified"))
 
@@ -118,13 +107,9 @@ ErrorTable = Mapping[str, Mapping[str, float]]
 
 @cache
 def error_table(number: int) -> ErrorTable:
-    """Read a table of position errors from the package.
+    """Read a table of printed position errors [mm] from the package, by column, then by row; it is read-only.
 
-    Args:
-        number: 2: simulation, by index; 4: experiment, by index; 5: experiment with O1, by axis.
-
-    Returns:
-        Printed errors in mm by column, then by row; read-only.
+    2: simulation, by index; 4: experiment, by index; 5: experiment with O1, by axis.
     """
     rows = _rows(f"table{number}.csv")
     columns = [name for name in rows[0] if name != "error_mm"]
@@ -139,11 +124,9 @@ def _rows(name: str) -> list[dict[str, str]]:
 
 
 def _parameter_rows(name: str) -> list[dict[str, str]]:
-    """Rows of a table of parameters, which must be those of `PARAMETERS`."""
+    """Rows of a table of parameters."""
     rows = _rows(name)
-    names = tuple(row["parameter"] for row in rows)
-    if names != PARAMETERS:
-        raise ValueError(f"paper/{name} lists {names}, expected {PARAMETERS}")
+    assert tuple(row["parameter"] for row in rows) == PARAMETERS, name
     return rows
 
 
@@ -156,8 +139,4 @@ def _column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:
 
 def _to_si(text: str, unit: str) -> float:
     """A number in mm or degrees as m or rad."""
-    if unit == "mm":
-        return float(Decimal(text) / 1000)
-    if unit == "deg":
-        return math.radians(float(text))
-    raise ValueError(f"paper: unit {unit!r} is neither mm nor deg")
+    return float(Decimal(text) / 1000) if unit == "mm" else math.radians(float(text))

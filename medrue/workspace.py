@@ -91,11 +91,7 @@ class Workspace:
 
 @cache
 def target_workspace() -> Workspace:
-    """The 420 poses of the target workspace, with the joint values that reach them.
-
-    Returns:
-        The workspace; its arrays are read-only.
-    """
+    """The 420 poses of the target workspace, with the joint values that reach them; its arrays are read-only."""
     T_world_tool = _poses()
     q = inverse(T_world_tool, table1().nominal)
     arrays = (

@@ -8,12 +8,11 @@ import pytest
 from click.testing import CliRunner
 
 from calib import read_measurements
-from calib.planning.selection import select
-from medrue.both_sides import QUICK_COUNTS, ExperimentTask, run_both_sides
+from medrue.both_sides import QUICK_COUNTS, ExperimentTask
 from medrue.cli import group
 from medrue.closed_form import forward
-from medrue.draws import PoseSet, Work
-from medrue.experiment import QUICK_DRAWS, Experiment, experiment_draw
+from medrue.draws import Work
+from medrue.experiment import QUICK_DRAWS, experiment_draw, run_experiment
 from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
 from medrue.imperfections import TILTED_JOINTS, Imperfections, approach_in_order, imperfect_robot
 from medrue.paper_tables import error_table, table3
@@ -37,19 +36,10 @@ def truth_of(extended, actual, imperfections, seed=1):
 
 @pytest.fixture(scope="module")
 def experiment(robot, extended):
-    """Two draws, poses of O1 and uniform ones; of the first one also from both sides, and there with 28 poses."""
-    joints = np.array(target_workspace().q)
-    chosen = np.sort(select(robot, joints, 84, "O1").chosen)
-    sets = (PoseSet("O1", chosen), PoseSet("uniform", np.arange(2, 420, 5)))
-    seeds = np.random.SeedSequence(3).spawn(2)
-    usual = Imperfections()
-    draws = tuple(experiment_draw(ExperimentTask(robot, extended, joints, sets, usual, seed)) for seed in seeds)
-    causes = {
-        name: tuple(experiment_draw(ExperimentTask(robot, extended, joints, sets[:1], alone, seed)) for seed in seeds)
-        for name, alone in usual.causes.items()
-    }
-    both_sides = run_both_sides(robot, extended, joints, sets[0], (28,), usual, seeds[:1], Work())
-    return Experiment(robot, joints, sets, usual, draws, causes, both_sides, 3)
+    """Two draws, poses of O1 and uniform ones, and 28 poses from both sides."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("medrue.study.INDICES", ("O1",))
+        return run_experiment(robot, extended, 2, 3, Work(), Imperfections(), (28,))
 
 
 def test_without_imperfections_the_truth_is_the_closed_form_with_table_3(extended, actual):

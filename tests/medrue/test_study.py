@@ -25,7 +25,7 @@ def study(robot):
     """A study of 84 poses chosen by O1 and of 84 uniform ones."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("medrue.study.INDICES", ("O1",))
-        return run_study(robot, StudySize(DRAWS, 2, DRAWS // 2), 7, Work())
+        return run_study(robot, StudySize(DRAWS, 2, 2), 7, Work())
 
 
 @pytest.fixture(scope="module")

@@ -60,8 +60,7 @@ def group() -> None:
 def demo_command(out: str, output: Output) -> None:
     """Calibrate MedRUE from the simulated measurements that come with the program: the main job, start to end."""
     from calib import fit, read_measurements
-    from calib.core.results.result_content import to_dict
-    from calib.core.results.results import RESULT_FILES
+    from calib.core.results.results import RESULT_FILES, to_dict
 
     output.check(folders=(out,), names=RESULT_FILES)
     robot = load(robot_file())

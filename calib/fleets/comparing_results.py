@@ -42,8 +42,8 @@ from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import HARDLY
 from calib.core.results.loaded_result import LoadedResult
-from calib.core.results.result_content import to_dict
 from calib.core.results.result_reading import load_result
+from calib.core.results.results import to_dict
 from calib.fleets.comparison_report import ComparedResult, Difference, Pair, ResultComparison
 
 _OWN = 1e-3  # a difference with less than this part of both variances comes from the prior alone

@@ -617,8 +617,7 @@ def test_positions_are_those_of_a_kind_that_calls_them_otherwise(tmp_path, run_c
     assert [block["kind"] for block in content["instruments"]] == ["cloud"]
     assert content["verdict"]["claim"]["part"] == "point"
     assert "Point: " not in (tmp_path / "fit" / "report.html").read_text()  # figures of positions have them
-    robot = calib.load(tmp_path / "fit")
-    assert other_errors(robot, content["instruments"], content["errors"]) == ()
+    assert other_errors(calib.load_result(tmp_path / "fit").fit) == ()
     predicted = run_calib("predict", "fit", "arm_simulated.csv", "--out", "predicted.csv", cwd=tmp_path)
     assert "The real tool is within" in predicted.out
 

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.core.base.errors import InputError, nearest
+from calib.core.base.errors import InputError, require_known
 
 FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.intp]
@@ -96,8 +96,8 @@ class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
 
     def __getitem__(self, key: Any) -> Any:
         """Return a row by its name (an unknown one is an `InputError`), or anything else as an array does."""
-        if isinstance(key, str) and key not in self._names:
-            raise InputError(f"no row '{key}'{nearest(key, self._names)}")
+        if isinstance(key, str):
+            require_known(key, self._names, "no row")
         return np.asarray(self)[self._names.index(key) if isinstance(key, str) else key]
 
     def __repr__(self) -> str:

@@ -1,7 +1,8 @@
 """Contributions to measures of uncertainty: each mechanism by name, and the numbers that contain it.
 
 Each number carries the set of its contributions. For a given fit the set may be smaller than in the table: regions that
-agree, for example, widen nothing (`calib.core.fitting.fitted.Fit.contains`).
+agree, for example, widen nothing (`calib.core.fitting.fitted.Fit.contains`). docs/uncertainty.md says what each
+mechanism counts, and which module computes it.
 """
 
 from __future__ import annotations
@@ -21,78 +22,29 @@ class Uncertainty(Enum):
     GAIN = "better or worse than before"
 
 
+_ALL_BUT_CLAIM = (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN)
+
+
 class Contribution(Enum):
-    """A mechanism: its name, its effect, the module that computes it, and the numbers that contain it."""
+    """A mechanism: its name, and the numbers that contain it."""
 
-    NOISE = (
-        "noise and priors",
-        "noise of the readings and spread of the priors, propagated to the parameters",
-        "numerics.statistics",
-        (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
-    )
-    SCATTER = (
-        "scatter of poses",
-        "readings of a pose scatter together, more than independent ones would",
-        "numerics.clusters",
-        (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
-    )
-    SIZES = (
-        "sizes of families",
-        "the amplitude of a curve was estimated from the same readings",
-        "numerics.size_search",
-        (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION, Uncertainty.GAIN),
-    )
-    REGIONS = (
-        "regions left out",
-        "parameters change by more than noise explains if a region or a setup is left out",
-        "fitting.regions",
-        (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION),
-    )
-    SECOND_ORDER = (
-        "second order",
-        "the model is not linear over the uncertainty of the parameters",
-        "fitting.curvature",
-        (Uncertainty.INTERVAL,),
-    )
-    UNDECIDED = (
-        "undecided terms",
-        "joint terms that the fit lacks, although the data show or allow them; uncertain sizes of the fit's terms",
-        "fitting.terms.kind_model",
-        (Uncertainty.INTERVAL, Uncertainty.POSITION),
-    )
-    JOINT_ERRORS = (
-        "unexplained joint errors",
-        "what the model leaves out, as an error of each joint that differs from pose to pose",
-        "fitting.unexplained",
-        (Uncertainty.POSITION,),
-    )
-    FRAME = (
-        "frame",
-        "positions are in a base frame that is fitted to them; the uncertainty of this frame does not count",
-        "rows.frames",
-        (Uncertainty.POSITION,),
-    )
-    LEFT_OUT = (
-        "poses left out",
-        "errors of each pose, predicted by the fit of all others",
-        "fitting.unseen_errors",
-        (Uncertainty.CLAIM,),
-    )
-    BEFORE_AND_AFTER = (
-        "before and after",
-        "errors before and after calibration, at poses that were not used",
-        "judging.better_or_worse",
-        (Uncertainty.GAIN,),
-    )
+    NOISE = ("noise and priors", _ALL_BUT_CLAIM)
+    SCATTER = ("scatter of poses", _ALL_BUT_CLAIM)
+    SIZES = ("sizes of families", _ALL_BUT_CLAIM)
+    REGIONS = ("regions left out", (Uncertainty.COVARIANCE, Uncertainty.INTERVAL, Uncertainty.POSITION))
+    SECOND_ORDER = ("second order", (Uncertainty.INTERVAL,))
+    UNDECIDED = ("undecided terms", (Uncertainty.INTERVAL, Uncertainty.POSITION))
+    JOINT_ERRORS = ("unexplained joint errors", (Uncertainty.POSITION,))
+    FRAME = ("frame", (Uncertainty.POSITION,))
+    LEFT_OUT = ("poses left out", (Uncertainty.CLAIM,))
+    BEFORE_AND_AFTER = ("before and after", (Uncertainty.GAIN,))
 
-    def __new__(cls, name: str, counts: str, module: str, numbers: tuple[Uncertainty, ...]) -> Self:
-        """Return a contribution with what it counts, its module and its numbers."""
+    def __new__(cls, name: str, numbers: tuple[Uncertainty, ...]) -> Self:
+        """Return a contribution, whose value is its name."""
         row = object.__new__(cls)
-        row._value_, row.counts, row.module, row.numbers = name, counts, module, numbers
+        row._value_, row.numbers = name, numbers
         return row
 
-    counts: str
-    module: str
     numbers: tuple[Uncertainty, ...]
 
 

@@ -24,10 +24,9 @@ _LISTED = 100
 
 
 class CalibrationError(Exception):
-    """Base of every error that this package raises on purpose.
+    """Base of every error that this package raises on purpose: what is wrong, where, and what to do.
 
-    Args:
-        message: What is wrong, where, and what to do; long quotes of files are cut.
+    Long quotes of files in the message are cut.
     """
 
     exit_code = 3
@@ -74,8 +73,8 @@ class NotConvergedError(ComputationError):
     """The iteration stopped before it reached a solution."""
 
 
-def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
-    """Return the hint `"; did you mean 'x'?"`, or the list of valid names, after the words `what`, when none is close.
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """Return the hint `"; did you mean 'x'?"`, or the list of valid names when none is close.
 
     >>> nearest("degrees", ["rad", "deg"])
     "; did you mean 'deg'?"
@@ -96,8 +95,7 @@ def nearest(name: str, valid: Iterable[str], what: str = "valid:") -> str:
         return f"; did you mean '{close}'?"
     if not names:
         return "; nothing is valid here"
-    more = f", and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return f"; {what} {', '.join(names[:_LISTED])}{more}"
+    return f"; valid: {listed_columns(names)}"
 
 
 def require_known(name: str, valid: Collection[str], message: str, error: type[Exception] = InputError) -> None:
@@ -114,19 +112,8 @@ def require_package(name: str, missing: str, error: type[Exception] = InputError
         raise error(missing) from None
 
 
-def nearest_column(name: str, columns: Collection[str], taken: Collection[str] = ()) -> str:
-    """Return a hint for a column that a file lacks: the nearest one that it has, and all of them.
-
-    Columns that are `taken` mean something else and are not offered.
-    """
-    hint = nearest(name, [column for column in columns if column not in taken], "the file has")
-    if not hint.endswith("?"):
-        return f"; the file has {listed_columns(columns)}"
-    return f"{hint} The file has {listed_columns(columns)}"
-
-
 def listed_columns(columns: Collection[str]) -> str:
-    """Return the columns of a file as a list; of very many the first ones."""
+    """Return names, such as the columns of a file, as a list; of very many the first ones."""
     names = list(columns)
     more = f", and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return (", ".join(names[:_LISTED]) or "no columns") + more

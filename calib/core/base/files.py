@@ -12,7 +12,7 @@ from pathlib import Path
 
 from calib.core.base.errors import CalibrationError, InputError
 from calib.core.base.own_files import MANIFEST, manifest_of, note_input, require_replaceable, signed
-from calib.core.base.replacing import clear_leftovers, new_file, new_folder, replace_folder
+from calib.core.base.replacing import clear_leftovers, new_folder, replace_folder
 
 _FILE_ENDINGS = (
     *(".csv", ".html", ".json", ".pdf", ".urdf", ".xml", ".yaml", ".yml"),
@@ -128,10 +128,9 @@ def write_files(
                 require_replaceable(path, content, inputs=inputs, force=force)
                 target = path.resolve()  # a symbolic link stays one
                 clear_leftovers(target.parent)
-                temporary, handle = stack.enter_context(new_file(target.parent))
-                with os.fdopen(os.dup(handle), "wb") as stream:  # closing it says what could not be written
-                    stream.write(content)
-                os.fchmod(handle, _permissions(target, 0o666))
+                temporary = stack.enter_context(new_folder(target.parent)) / target.name
+                temporary.write_bytes(content)
+                temporary.chmod(_permissions(target, 0o666))
                 complete.append((temporary, target))
         for temporary, target in complete:
             with _explain_errors(target):
@@ -189,9 +188,7 @@ def write_folder(
 
     The new folder is completed next to the old one and takes its place in one step; see `calib.core.base.replacing`. A
     manifest in it says what was written (`calib.core.base.own_files`); `inputs` and `force` are as in `write_files`.
-
-    Raises:
-        InputError: The folder cannot be written, or a file in it should not be replaced; what was there is untouched.
+    `InputError` if the folder cannot be written, or a file in it should not be replaced; what was there is untouched.
     """
     path = Path(path).resolve()
     with _explain_errors(path):

@@ -59,15 +59,12 @@ def signed(content: bytes, comment: str = "") -> bytes:
     text = _OLD_LINES.sub(b"", content)
     if not text.endswith(b"\n"):
         text += b"\n"
-    before, after = b"", b""
     if text.startswith(b"{") and text.endswith(_END_OF_JSON):
-        text, before, after = text.removesuffix(_END_OF_JSON) + b",\n", b' "written_by": "', b'"\n' + _END_OF_JSON[1:]
-        digest = _digest(text + after[2:])
-        return text + before + _mark(digest) + after
-    before, after = (b"<!-- ", b" -->\n") if text.lstrip().startswith(b"<") else (b"# ", b"\n")
-    if comment:
-        before, after = f"{comment} ".encode(), b"\n"
-    return text + before + _mark(_digest(text)) + after
+        text, end = text.removesuffix(_END_OF_JSON) + b",\n", _END_OF_JSON[1:]
+        return text + b' "written_by": "' + _mark(_digest(text + end)) + b'"\n' + end
+    if text.lstrip().startswith(b"<") and not comment:
+        return text + b"<!-- " + _mark(_digest(text)) + b" -->\n"
+    return text + f"{comment or '#'} ".encode() + _mark(_digest(text)) + b"\n"
 
 
 def is_mark(line: str) -> bool:

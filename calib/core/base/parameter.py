@@ -64,12 +64,7 @@ class Parameter:
         return self.sigma_si * self.per_si
 
     def row(self, value: float, free: bool) -> dict[str, object]:
-        """Return the row of a table, in `unit`.
-
-        Args:
-            value: Its present value [m or rad].
-            free: Whether it is free, not held.
-        """
+        """Return the row of a table, in `unit`: with its present value [m or rad], and whether it is free, not held."""
         shown = {"nominal": self.nominal, "value": float(value) * self.per_si, "sigma": self.sigma}
         return {"name": self.name, "unit": self.unit, **shown, "free": "free" if free else "held"}
 

@@ -5,9 +5,8 @@ raised anywhere, as Ctrl-C does, and the processes can be ended at any moment: n
 program wait for ever. In `concurrent.futures.ProcessPoolExecutor` a thread reads the results, and if a process dies
 while it sends a result, the thread waits for the rest of it.
 
-A function that many pieces of work share is sent to each process once. A process holds one such function at a time.
-
-A process ends with the program that started it, even if the program was killed.
+A process holds the last function that it got. So a function that many pieces of work share, as one object that does
+not change, is sent to each process once. A process ends with the program that started it, even if that was killed.
 """
 
 from __future__ import annotations
@@ -26,10 +25,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
-Item = TypeVar("Item")
 Result = TypeVar("Result")
-_Work = tuple[Callable[..., Any], object, tuple[Any, ...], dict[str, Any]]
-"""A function, its key in the processes that hold it (or None), and its arguments."""
+_Work = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 
 
 class Processes(Executor):
@@ -40,7 +37,7 @@ class Processes(Executor):
         self._processes: dict[Connection, BaseProcess] = {}
         self._busy: dict[Connection, Future[Any]] = {}
         self._waiting: deque[tuple[Future[Any], _Work]] = deque()
-        self._held: dict[Connection, object] = {}
+        self._held: dict[Connection, Callable[..., Any]] = {}
 
     def start(self) -> None:
         """Start the processes that are missing."""
@@ -55,18 +52,10 @@ class Processes(Executor):
 
     def submit(self, function: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]:
         """See `concurrent.futures.Executor`."""
-        return self._submit((function, None, arguments, named))
-
-    def holding(self, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:
-        """Return a submitter of calls of a function that is sent to each process once."""
-        key = object()
-        return lambda item: self._submit((function, key, (item,), {}))
-
-    def _submit(self, work: _Work) -> Future[Any]:
         if not self._processes:
             raise RuntimeError("these processes have been ended")
-        future = _PendingResult[Any](self)
-        self._waiting.append((future, work))
+        future = _PendingResult[Result](self)
+        self._waiting.append((future, (function, arguments, named)))
         self._send()
         return future
 
@@ -96,14 +85,12 @@ class Processes(Executor):
         """Give work to free processes."""
         for line in [line for line in self._processes if line not in self._busy]:
             while self._waiting and line not in self._busy:
-                future, (function, key, arguments, named) = self._waiting.popleft()
+                future, (function, arguments, named) = self._waiting.popleft()
                 if not future.set_running_or_notify_cancel():
                     continue
-                there = key is not None and self._held.get(line) is key
                 try:
-                    line.send((None if there else function, key is not None, arguments, named))
-                    if key is not None:
-                        self._held[line] = key
+                    line.send((None if self._held.get(line) is function else function, arguments, named))
+                    self._held[line] = function
                 except ConnectionError:
                     future.set_exception(self._replace_process(line))
                     break
@@ -170,21 +157,18 @@ def _without_interrupts() -> Iterator[None]:
 def _work(line: Connection) -> None:
     """Do the work that comes through the pipe, until the pipe ends."""
     _end_with_parent()
-    shared: Any = None
+    held: Any = None
     while True:
         try:
-            function, hold, arguments, named = line.recv()
+            function, arguments, named = line.recv()
         except (EOFError, OSError):
             return
         except Exception as error:  # work that cannot be read, such as a function that is not in a module
             line.send((error, None))
             continue
-        if function is None:
-            function = shared
-        elif hold:
-            shared = function
+        held = held if function is None else function
         try:
-            line.send((None, function(*arguments, **named)))
+            line.send((None, held(*arguments, **named)))
         except Exception as error:  # an error of the work, or a result that cannot be sent
             line.send((error, None))
 

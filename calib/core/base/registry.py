@@ -7,16 +7,23 @@ calls `register`. Names are looked up at first use, so that nothing of another p
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache, lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from inspect import isabstract
 from typing import Any, Generic, TypeVar
 
-from pydantic import GetJsonSchemaHandler, PlainValidator, SerializeAsAny, TypeAdapter, ValidationInfo
+from pydantic import (
+    GetJsonSchemaHandler,
+    GetPydanticSchema,
+    PlainValidator,
+    SerializeAsAny,
+    TypeAdapter,
+    ValidationInfo,
+)
 
-from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.errors import DescriptionError, require_known
 from calib.core.base.sections import Section
 from calib.core.base.words import warn_once
 
@@ -165,14 +172,13 @@ def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
         if name is None:
             raise ValueError(f"needs a key '{key}', one of {', '.join(registry)}")
         try:
-            if str(name) not in registry:
-                raise ValueError(f"unknown {key} '{name}'{nearest(str(name), registry)}")
+            require_known(str(name), registry, f"unknown {key}", ValueError)
             section = registry[str(name)].section
         except DescriptionError as error:
             raise ValueError(str(error)) from None
         return value if isinstance(value, section) else section.model_validate(value, context=info.context)
 
-    def schema(handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def schema(_: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         schemas = []
         for name in registry:
             section = registry[name].section
@@ -182,7 +188,7 @@ def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
             schemas.append(schema)
         return {"anyOf": schemas}
 
-    return PlainValidator(read), SerializeAsAny(), _Schema(schema)  # type: ignore[type-arg]
+    return PlainValidator(read), SerializeAsAny(), GetPydanticSchema(None, schema)  # type: ignore[type-arg]
 
 
 def capability_entry(key: str) -> tuple[Any, ...]:
@@ -198,14 +204,4 @@ def capability_entry(key: str) -> tuple[Any, ...]:
     def read(value: Any, info: ValidationInfo) -> Any:
         return adapter().validate_python(value, context=info.context)
 
-    return PlainValidator(read), _Schema(lambda handler: handler(adapter().core_schema))
-
-
-class _Schema:
-    """The JSON schema of a value that a function reads."""
-
-    def __init__(self, schema: Callable[[GetJsonSchemaHandler], dict[str, Any]]) -> None:
-        self._schema = schema
-
-    def __get_pydantic_json_schema__(self, _: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return self._schema(handler)
+    return PlainValidator(read), GetPydanticSchema(None, lambda _, handler: handler(adapter().core_schema))

@@ -1,4 +1,4 @@
-"""Files and folders that are completed under another name, and then take their place in one step.
+"""Files and folders that are completed in a folder beside their place, and then take it in one step.
 
 A program can be ended at any moment, and two can write to one place. So a file or folder is only ever replaced as a
 whole: by renaming where nothing is there, and otherwise by exchanging the two names, which Linux does in one step
@@ -8,10 +8,10 @@ Where a system or a file system has no such exchange, the old folder is set asid
 program that is killed between these two steps leaves the old one, whole, in a folder `.calib-old-*`, and the next
 program that writes there puts it back.
 
-A program locks the file or folder that it completes; the lock ends with the program, however it ends. One without a
-lock is a leftover of a killed program, and the next program that writes there removes it. While a folder is replaced,
-the folder above it is locked, so that no other program misses a folder that was set aside. File systems without locks
-keep their leftovers, and only the exchange is safe for two programs at once there.
+A program locks the folder in which it completes something; the lock ends with the program, however it ends. A folder
+without a lock is a leftover of a killed program, and the next program that writes there removes it. While a folder is
+replaced, the folder above it is locked, so that no other program misses a folder that was set aside. File systems
+without locks keep their leftovers, and only the exchange is safe for two programs at once there.
 """
 
 from __future__ import annotations
@@ -30,22 +30,6 @@ _NEW, _OLD = ".calib-new-", ".calib-old-"
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
 _NO_EXCHANGE = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
 _OCCUPIED = (errno.ENOTEMPTY, errno.EEXIST)
-
-
-@contextmanager
-def new_file(parent: Path) -> Iterator[tuple[Path, int]]:
-    """Yield an empty file in `parent` and a handle of it; it is gone after the block, unless it was renamed."""
-    while True:
-        handle, name = tempfile.mkstemp(dir=parent, prefix=_NEW)
-        path = Path(name)
-        if _try_lock(path, handle):
-            break
-        os.close(handle)
-    try:
-        yield path, handle
-    finally:
-        path.unlink(missing_ok=True)
-        os.close(handle)
 
 
 @contextmanager
@@ -68,7 +52,7 @@ def new_folder(parent: Path, prefix: str = _NEW) -> Iterator[Path]:
 
 
 def _try_lock(path: Path, handle: int) -> bool:
-    """Lock a new file or folder; False if another program took it for a leftover just before."""
+    """Lock a new folder; False if another program took it for a leftover just before."""
     with suppress(OSError):  # without locks nothing is ever taken for a leftover
         fcntl.flock(handle, fcntl.LOCK_EX)
     try:
@@ -91,7 +75,7 @@ def clear_leftovers(parent: Path) -> None:
 
 
 def _discard(path: Path) -> None:
-    """Remove a file or folder of this module; a folder in it that was set aside goes back if its place is free."""
+    """Remove a folder, or a file of earlier versions; what was set aside in it goes back if its place is free."""
     if not path.is_dir():
         path.unlink(missing_ok=True)
         return

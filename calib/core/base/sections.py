@@ -24,7 +24,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from calib.core.base.errors import DescriptionError, nearest
+from calib.core.base.errors import DescriptionError, nearest, require_known
 from calib.core.base.files import read_text
 from calib.core.base.letters import unseen
 from calib.core.base.parameter import Parameter
@@ -194,9 +194,8 @@ def _read(value: Any) -> OwnLength:
         return OwnLength(unknown=True)
     if not isinstance(value, dict):
         return OwnLength(quantity(value, "length", "value", _ValueError))
-    strange = next((str(key) for key in value if key not in _KEYS), None)
-    if strange is not None:
-        raise ValueError(f"unknown key '{strange}'{nearest(strange, _KEYS)}")
+    for key in value:
+        require_known(str(key), _KEYS, "unknown key", ValueError)
     if set(value) != set(_KEYS):
         raise ValueError("give {value: ..., sigma: ...}; or a number alone if it is exact, or 'unknown'")
     sigma = quantity(value["sigma"], "length", "sigma", _ValueError)

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Literal, TypeVar
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import InputError, nearest
+from calib.core.base.errors import CalibrationError, DataError, InputError, nearest
 
 Values = TypeVar("Values", float, FloatArray)
 Number = TypeVar("Number")
@@ -45,6 +47,8 @@ _OTHERWISE = re.compile(
 )
 _UNITS = {*_SIGNS, *(unit for units in PER_SI.values() for unit in units if unit != "1")}
 _SMALLEST, _LARGEST = 1e-30, 1e9  # [SI]
+_TOLERANCE, _ALIKE = "tolerance", 0.8
+_STATEMENT = re.compile(r"^(\w+)\s*[:=]\s*(.*\S)\s*$")
 _NUMBER = r"\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|\.\d+"
 _FORM = re.compile(
     rf"(?P<sign>-\s*)?(?:(?P<factor>{_NUMBER})\s*\*\s*)?(?P<name>\S(?:.*?\S)?)(?:\s+(?P<way>[-+])\s*(?P<offset>{_NUMBER}))?"
@@ -99,6 +103,27 @@ def quantity(value: object, dimension: Dimension, where: str, error: type[Except
         size = "large" if abs(si) > 1 else "small"
         raise error(f"{where}: {value!r:.60} is too {size} to mean anything; correct it")
     return si
+
+
+def stated_tolerance(comments: Iterable[str], path: str, error: type[CalibrationError] = DataError) -> float | None:
+    """Return the smallest tolerance that comments (without their #) of a file state [m], `tolerance: 0.1 mm`, or None.
+
+    One that is not a positive length with a unit, or whose key is misspelled, raises the `error`, a `CalibrationError`.
+    """
+    found = []
+    for key, text in (match.groups() for match in map(_STATEMENT.match, comments) if match):
+        if not get_close_matches(key.casefold(), [_TOLERANCE], cutoff=_ALIKE):
+            continue
+        if key.casefold() != _TOLERANCE:
+            raise error(f"{path}: comment '{key}: {text}': did you mean '{_TOLERANCE}'?")
+        where = f"{path}: comment '{key}: {text}'"
+        size = quantity(text, "length", where, error) if re.search(r"[^\d.eE+-]", text) else 0.0
+        if size <= 0:
+            raise error(
+                f"{where}: is not a positive length with a unit; write '# {_TOLERANCE}: 0.1 mm', or leave the line out"
+            )
+        found.append(size)
+    return min(found, default=None)
 
 
 def sigma_in_si(sigma: Number | str) -> Number | float:

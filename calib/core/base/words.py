@@ -38,7 +38,11 @@ def count_noun(number: int, singular: str, plural: str | None = None) -> str:
 
 
 def listing(names: Sequence[str], separator: str = ", ", shown: int = _LISTED) -> str:
-    """Return the first few of many, and how many more there are."""
+    """Return the first few of many, and how many more there are.
+
+    >>> listing(list("abcdefg")), listing(["a", "b"], "; ")
+    ('a, b, c, d, e, and 2 more', 'a; b')
+    """
     return separator.join(names[:shown]) + (f"{separator}and {len(names) - shown} more" if len(names) > shown else "")
 
 
@@ -103,10 +107,7 @@ def _wrap_lines(text: str, width: int) -> str:
 def text_table(
     headers: Sequence[str], left: Collection[str] = ("",), title: str | None = None, *, plain: bool = False
 ) -> Table:
-    """Return an empty table for `plain_text`; columns with these `left` headers are aligned left, the others right.
-
-    `plain`: it has no lines.
-    """
+    """Return an empty table for `plain_text`, without lines if `plain`; columns of `left` headers are aligned left."""
     style: dict[str, Any] = {"box": None, "pad_edge": False} if plain else {}
     table = Table(title=title, title_justify="left", **style)
     for header in headers:

@@ -8,9 +8,8 @@ losing a worker has broken it, the rest is done here. Data that all pieces of wo
 study, go to each worker once, if the executor can hold them (processes of `Workers`, and those of Dask); otherwise they
 go with every piece.
 
-The processes of `Workers` end with the program that started them, however it ends: after Ctrl-C, SIGTERM or SIGHUP they
-are stopped before the program is left, and where it dies without a chance to do so (SIGKILL), each of them notices by
-itself. SIGTERM and SIGHUP end the program from within the handler.
+The processes of `Workers` end with the program that started them: after Ctrl-C, SIGTERM or SIGHUP they are stopped
+before the program is left; after SIGKILL, each of them notices by itself (`calib.core.base.processes`).
 """
 
 from __future__ import annotations
@@ -48,10 +47,8 @@ def results_in_order(
 
     At most `_AHEAD` items are with the executor at a time, so that its memory does not grow with their number. The
     function holds the data that all pieces share. It is a function of a module, so that other processes find it;
-    neither it nor the caller may change its input. `progress` is told after each item.
-
-    Raises:
-        ComputationError: The same piece of work was lost several times.
+    neither it nor the caller may change its input. `progress` is told after each item. A piece of work that is lost
+    several times is a `ComputationError`.
     """
     futures = dict[int, _Sent]()
     send = None if executor is None else _sender(executor, function)
@@ -97,7 +94,7 @@ def _result(
                 ) from lost
             for other, sent in futures.items():
                 if sent is not None and sent.done() and (sent.cancelled() or sent.exception() is not None):
-                    futures[other] = _try_send(_plainly(executor, function), items[other])
+                    futures[other] = _try_send(partial(executor.submit, partial(_answer, function)), items[other])
             continue
         if succeeded:
             return cast(Result, result)
@@ -107,16 +104,11 @@ def _result(
 
 def _sender(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
     """A function that sends an item to the workers: without `function`, if the workers hold that already."""
-    if isinstance(executor, Processes):
-        return executor.holding(partial(_answer, function))
     client = getattr(executor, "_client", None)  # executors of Dask have one
     if hasattr(client, "scatter"):
-        return _plainly(executor, cast(Any, client).scatter(function, broadcast=True, hash=False))
-    return _plainly(executor, function)
-
-
-def _plainly(executor: Executor, function: Callable[[Item], Result]) -> _Send[Item]:
-    return lambda item: executor.submit(_answer, function, item)
+        held = cast(Any, client).scatter(function, broadcast=True, hash=False)
+        return lambda item: executor.submit(_answer, held, item)
+    return partial(executor.submit, partial(_answer, function))
 
 
 def _try_send(send: _Send[Item], item: Item) -> _Sent:

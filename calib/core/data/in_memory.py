@@ -90,11 +90,10 @@ def as_measurements(
         instrument = robot.instrument(name)
         if isinstance(given, Readings):
             readings_by_name[name] = given
-            continue
-        if instrument.touches:
+        elif instrument.touches:
             readings_by_name[name] = _words(instrument, poses, np.asarray(given))
-            continue
-        readings_by_name[name] = _readings(instrument, poses, np.asarray(given, dtype=float))
+        else:
+            readings_by_name[name] = _readings(instrument, poses, np.asarray(given, dtype=float))
     data = measurements(poses, readings_by_name)
     check_repeats(data, robot)
     return data
@@ -131,19 +130,17 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
         instrument = robot.instrument(name)
         if not any(part.is_position for part in instrument.parts):
             continue
-        others = [
-            noise for part, noise in zip(instrument.parts, instrument.noise.parts, strict=True) if not part.is_position
-        ]
-        if readings.covariance is None and not all(noise.stated for noise in others):
+        stated = zip(instrument.parts, instrument.noise.parts, strict=True)
+        if readings.covariance is not None:
+            covariance = readings.covariance.copy()
+        elif all(part.is_position or noise.stated for part, noise in stated):
+            covariance = instrument.covariance(readings.values, instrument.noise).copy()
+        else:
             raise InputError(
                 f"sigma: '{name}' reads more than positions, and the noise of the rest is not stated; state it in the"
                 " robot description"
             )
-        covariance = readings.covariance
-        if covariance is None:
-            covariance = instrument.covariance(readings.values, instrument.noise)
         rows = np.flatnonzero([instrument.parts[k].is_position for k in instrument.part_of_row])
-        covariance = covariance.copy()
         covariance[:, rows, :] = covariance[:, :, rows] = 0.0
         covariance[:, rows, rows] = stds[readings.visits] ** 2
         changed[name] = replace(readings, covariance=covariance)
@@ -162,13 +159,12 @@ def _positions_by_instrument(robot: Robot, n: int, given: ArrayLike) -> dict[str
     if not all(instrument.reads_positions for instrument in robot.instruments):
         names = ", ".join(instrument.name for instrument in robot.instruments)
         raise DataError(f"readings: the robot has several kinds of instruments; give them by name ({names})")
-    values = np.asarray(given, dtype=float)
-    n_instruments = len(robot.instruments)
-    if n_instruments == 1 and values.shape == (n, 3):
+    values, shape = np.asarray(given, dtype=float), (n, len(robot.instruments), 3)
+    if values.shape == (n, 3) and shape[1] == 1:
         values = values[:, None]
-    if values.shape != (n, n_instruments, 3):
+    if values.shape != shape:
         raise DataError(
-            f"positions of shape {np.shape(given)}; expected ({n}, {n_instruments}, 3): a row for each pose,"
+            f"positions of shape {np.shape(given)}; expected {shape}: a row for each pose,"
             f" the targets in the order {', '.join(instrument.name for instrument in robot.instruments)}"
         )
     return {instrument.name: values[:, k] for k, instrument in enumerate(robot.instruments)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
-from calib.core.base.errors import DataError, nearest, require_known
+from calib.core.base.errors import DataError, require_known
 from calib.core.base.units import Dimension
 from calib.core.data.measurement_columns import correlation_columns, std_columns
 from calib.core.data.measurements import setup_pairs
@@ -105,8 +105,8 @@ def _is_labelled(robot: Robot, instrument: Instrument, table: Table) -> BoolArra
         return np.ones(len(table.rows), dtype=bool)
     texts, names = table.text(column), [other.name for other in group]
     for k, text in enumerate(texts):
-        if text and text not in names:
-            raise DataError(f"{table.where(k, column)}: no {column} '{text}'{nearest(text, names)}")
+        if text:
+            require_known(text, names, f"{table.where(k, column)}: no {column}", DataError)
     return np.array([text == instrument.name for text in texts], dtype=bool)
 
 

@@ -139,9 +139,8 @@ def _lines(robot: Robot, n_visits: int, all_readings: Mapping[str, Readings]) ->
     sharing: dict[str, list[str]] = {}
     for instrument in robot.instruments:
         if instrument.name in all_readings:
-            sharing.setdefault(
-                f"column {instrument.label_column}" if instrument.label_column else instrument.name, []
-            ).append(instrument.name)
+            shared = f"column {instrument.label_column}" if instrument.label_column else instrument.name
+            sharing.setdefault(shared, []).append(instrument.name)
     place: dict[str, IntArray] = {}
     for names in sharing.values():
         places = rank_in_visit(np.concatenate([all_readings[name].visits for name in names]))
@@ -151,9 +150,8 @@ def _lines(robot: Robot, n_visits: int, all_readings: Mapping[str, Readings]) ->
     for name, places in place.items():
         np.maximum.at(count, all_readings[name].visits, places + 1)
     first = np.cumsum(count) - count
-    return np.repeat(np.arange(n_visits), count), {
-        name: first[all_readings[name].visits] + places for name, places in place.items()
-    }
+    line_of = {name: first[all_readings[name].visits] + places for name, places in place.items()}
+    return np.repeat(np.arange(n_visits), count), line_of
 
 
 def rank_in_visit(visits: IntArray) -> IntArray:

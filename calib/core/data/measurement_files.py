@@ -49,8 +49,7 @@ def read_poses(path: Source, robot: RobotLike) -> Poses:
         DataError: The message names file, line and column.
     """
     robot = robot_of_data(path, robot)
-    table = read_robot_table(path, robot)
-    return poses_of_table(table, robot, used=set())
+    return poses_of_table(read_robot_table(path, robot), robot, used=set())
 
 
 def read_measurements(
@@ -79,30 +78,25 @@ def read_measurements(
     if not with_joints:
         joints = ", ".join(robot.commanded_names)
         raise DataError(f"{tables[0].path}: none of the files has a column for every joint ({joints})")
-    several = len(tables) > 1
+    reading = [_instruments_in(robot, table, several=len(tables) > 1) for table in tables]
     used = {
         column
-        for table in tables
-        for instrument in _instruments_in(robot, table, several)
+        for table, instruments in zip(tables, reading, strict=True)
+        for instrument in instruments
         for column in columns_in(instrument, table)
     }
-    firsts = np.cumsum([0, *(len(table.rows) for table in with_joints)])
+    firsts = np.cumsum([0, *(len(table.rows) for table in with_joints)]).tolist()
     poses = join_poses(
-        [poses_of_table(table, robot, used, int(k)) for table, k in zip(with_joints, firsts[:-1], strict=True)]
+        [poses_of_table(table, robot, used, first) for table, first in zip(with_joints, firsts, strict=False)]
     )
-    parts: dict[str, list[Readings]] = {}
-    start = 0
-    for table in tables:
-        if any(table is other for other in with_joints):
-            rows = start + np.arange(len(table.rows))
-            start += len(table.rows)
-        else:
-            rows = _visits_by_pose(table, poses)
-        for instrument in _instruments_in(robot, table, several):
-            own_lines = len(with_joints) < len(tables)
-            parts.setdefault(instrument.name, []).append(
-                readings_in(robot, instrument, table, rows, own_lines=own_lines)
-            )
+    first_of = {id(table): first for table, first in zip(with_joints, firsts, strict=False)}
+    own_lines, parts = len(with_joints) < len(tables), dict[str, list[Readings]]()
+    for table, instruments in zip(tables, reading, strict=True):
+        first = first_of.get(id(table))
+        rows = _visits_by_pose(table, poses) if first is None else first + np.arange(len(table.rows))
+        for instrument in instruments:
+            own = readings_in(robot, instrument, table, rows, own_lines=own_lines)
+            parts.setdefault(instrument.name, []).append(own)
     data = measurements(poses, {name: join_readings(readings) for name, readings in parts.items()})
     if data.n_readings == 0 and not parts:
         raise DataError(f"{tables[0].path}: {_no_instrument(robot, tables[0])}")
@@ -140,7 +134,7 @@ def _visits_by_pose(table: Table, poses: Poses) -> IntArray:
     return np.array(rows, dtype=np.intp)
 
 
-def _instruments_in(robot: Robot, table: Table, several: bool) -> list[Instrument]:
+def _instruments_in(robot: Robot, table: Table, *, several: bool) -> list[Instrument]:
     """Instruments that a table has columns for; all, where nothing says that they may be missing."""
     if not robot.description.instruments and not several:
         return list(robot.instruments)
@@ -216,7 +210,8 @@ def _follower(table: Table, leader: Table, robot: Robot) -> Table:
                 " needs the same number in both"
             )
         warn_once(f"{table.path}: joined row by row with {leader.path}, as the description asks")
-        return _with_poses(table, np.arange(len(table.rows)), np.arange(len(table.rows)))
+        every = np.arange(len(table.rows))
+        return _with_poses(table, every, every)
     own, given = _times(table), _times(leader)
     order = np.argsort(own)
     place = np.searchsorted(own[order], given)

@@ -77,11 +77,7 @@ class Poses(ReadOnlyArrays, HintedObject):
         return ()
 
     def __getitem__(self, which: slice | BoolArray | IntArray | Sequence[int] | int) -> Self:
-        """Return some of the visits: a slice, a mask (n,), or indices, as of an array.
-
-        Raises:
-            DataError: A mask of another length, or an index that is no visit.
-        """
+        """Return some of the visits: a slice, a mask (n,), or indices, as of an array; others are a `DataError`."""
         if isinstance(which, str):
             raise InputError(
                 f"{self.path}: brackets take numbers of rows; for a column, write data.to_dataframe()['{which}']"
@@ -110,15 +106,11 @@ class Poses(ReadOnlyArrays, HintedObject):
     def to_dict(self, robot: Robot | None = None) -> dict[str, list[object]]:
         """Return a table of the visits, in mm and degrees: the cells below each header, as in files.
 
-        Args:
-            robot: Names joints and instruments; that of the visits if not given.
+        The robot, that of the visits if not given, names joints and instruments.
         """
         robot = self._robot(robot)
-        columns = pose_columns(robot, self.names, self.joints)
-        columns |= condition_columns(robot, len(self), self.setups, self.context) | approach_columns(
-            robot, self.approach
-        )
-        return columns
+        conditions = condition_columns(robot, len(self), self.setups, self.context)
+        return pose_columns(robot, self.names, self.joints) | conditions | approach_columns(robot, self.approach)
 
     def to_dataframe(self, robot: Robot | None = None) -> Any:
         """Return `to_dict` as a pandas table, empty cells as NaN; pandas missing is an `InputError`."""
@@ -207,11 +199,8 @@ class Measurements(Poses):
     def to_dict(self, robot: Robot | None = None) -> dict[str, list[object]]:
         """Return a table of the readings, in mm and degrees: the cells below each header, as in files.
 
-        Args:
-            robot: Names joints and instruments; that of the visits if not given.
-
-        Raises:
-            DataError: Simulated readings of an instrument that reads no numbers.
+        The robot, that of the visits if not given, names joints and instruments. `DataError` for simulated readings of
+        an instrument that reads no numbers.
         """
         robot = self._robot(robot)
         visits, read = reading_columns(robot, len(self), self.readings)
@@ -230,17 +219,13 @@ class Measurements(Poses):
 
     def read_visits(self) -> Self:
         """Return the visits at which something was read; at others, a camera may have seen nothing."""
-        visits = np.unique(
-            np.concatenate([np.zeros(0, dtype=np.intp), *(readings.visits for readings in self.readings.values())])
-        )
-        return self if len(visits) in (0, len(self)) else self.subset(visits)
+        read = np.zeros(len(self), dtype=bool)
+        for readings in self.readings.values():
+            read[readings.visits] = True
+        return self.subset(np.flatnonzero(read)) if np.any(read) and not np.all(read) else self
 
     def with_readings(self, numbers: Mapping[str, IntArray]) -> Self:
-        """Return some of the readings, visit by visit, and the visits at which they were made.
-
-        Args:
-            numbers: Indices (n,) of the readings of each instrument, by its name; other instruments get none.
-        """
+        """Return some readings of each instrument, by indices (n,), and their visits; others get none."""
         chosen = {name: self.readings[name].subset(own) for name, own in numbers.items()}
         visits = np.unique(np.concatenate([readings.visits for readings in chosen.values()]))
         return replace(self, readings=chosen).subset(visits)
@@ -263,7 +248,7 @@ class Measurements(Poses):
             if len(chosen) >= n_held:
                 break
             chosen.extend(int(k) for k in group)
-        held: IntArray = np.array(chosen, dtype=np.intp)
+        held = np.array(chosen, dtype=np.intp)
         if not 0 < len(held) < len(self):
             raise DataError(
                 f"{self.path}: with {validation:g} of {len(self)} poses held out, no pose is left to"
@@ -275,10 +260,8 @@ class Measurements(Poses):
     def points(self, robot: Robot | None = None) -> FloatArray:
         """Return where each target was seen in the measurement frame, (n, n_targets, 3) [m]; NaN where it was not.
 
-        Only instruments that measure points count; several readings of a target at a visit give their mean.
-
-        Args:
-            robot: Names targets and instruments; that of the visits if not given.
+        Only instruments that measure points count; several readings of a target at a visit give their mean. The robot,
+        that of the visits if not given, names targets and instruments.
         """
         robot = self._robot(robot)
         names = robot.target_names

@@ -42,12 +42,8 @@ def read_plan(path: Path | str, robot: Robot) -> Poses:
 def plan_of_table(table: Table, robot: Robot) -> Poses:
     """Return the plan in a table; see `read_plan`."""
     used = {column for instrument in robot.instruments for column in columns_in(instrument, table)}
-    poses = poses_of_table(table, robot, used)
-    reading = _reading(robot, table)
-    plan = {
-        instrument.name: _looks(robot, instrument, table, reading[instrument.name], poses.setups)
-        for instrument in robot.instruments
-    }
+    poses, named = poses_of_table(table, robot, used), _named_instruments(robot, table)
+    plan = {instrument.name: _looks(robot, instrument, table, named, poses.setups) for instrument in robot.instruments}
     stated = {name: looks for name, looks in plan.items() if looks is not None}
     if len(stated) == len(robot.instruments) and not any(len(looks) for looks in stated.values()):
         raise DataError(f"{table.path}: no row says what to read; fill in the columns of the instruments")
@@ -95,54 +91,44 @@ def _repeats(table: Table) -> bool:
     return "pose" in table.names and len(set(table.text("pose"))) < len(table.rows)
 
 
-def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:
-    """Mask of each instrument's rows in a plan, (n_table_rows,) by name."""
-    n, names = len(table.rows), [instrument.name for instrument in robot.instruments]
-    result = {name: np.ones(n, dtype=bool) for name in names}
-    for k, cell in enumerate(_instrument_cells(robot, table)):
-        named = [name.strip() for name in cell.split(TOGETHER)] if cell else names
-        for name in named:
-            lacks = f"{table.where(k, INSTRUMENT)}: no instrument"
-            require_known(name, names, lacks, DataError)
+def _named_instruments(robot: Robot, table: Table) -> list[list[str]]:
+    """The instruments that each row names; none where it means all."""
+    if not robot.description.instruments or INSTRUMENT not in table.names:
+        return [[] for _ in table.rows]
+    known = [instrument.name for instrument in robot.instruments]
+    rows = [[name.strip() for name in cell.split(TOGETHER)] if cell else [] for cell in table.text(INSTRUMENT)]
+    for k, names in enumerate(rows):
         for name in names:
-            result[name][k] = name in named
-    return result
-
-
-def _instrument_cells(robot: Robot, table: Table) -> tuple[str, ...]:
-    """Cells of the column `instrument`; empty without it, or if the description names no instruments."""
-    return tuple(table.text(INSTRUMENT)) if robot.description.instruments and INSTRUMENT in table.names else ()
+            require_known(name, known, f"{table.where(k, INSTRUMENT)}: no instrument", DataError)
+    return rows
 
 
 def _looks(
-    robot: Robot, instrument: Instrument, table: Table, reading: BoolArray, setups: IntArray | None
+    robot: Robot, instrument: Instrument, table: Table, named: list[list[str]], setups: IntArray | None
 ) -> Readings | None:
     """Planned readings of an instrument by the rows of a plan; None where the plan has none, or no touched thing."""
-    if instrument.columns() and np.all(reading):
-        return None  # the instrument reads all that it can, as without a plan
-    rows = np.flatnonzero(reading)
+    rows = np.flatnonzero([not names or instrument.name in names for names in named])
     if instrument.columns():
+        if len(rows) == len(table.rows):
+            return None  # the instrument reads all that it can, as without a plan
         pairs, details = instrument.looks()
-        n_looks = len(pairs)
-        visits, pairs, details = np.repeat(rows, n_looks), np.tile(pairs, len(rows)), np.tile(details, (len(rows), 1))
+        visits, pairs, details = (
+            np.repeat(rows, len(pairs)),
+            np.tile(pairs, len(rows)),
+            np.tile(details, (len(rows), 1)),
+        )
     elif set(instrument.text_columns()) <= set(table.names):
         texts = {name: [table.text(name)[k] for k in rows] for name in instrument.text_columns()}
         belongs, pairs, details = instrument.parse_texts(texts, [table.where(k) for k in rows])
         mine = np.array(belongs, dtype=bool)
-        _require_planned_readings(robot, instrument, table, rows[~mine])
+        bad = next((k for k in rows[~mine] if named[k]), None)
+        if bad is not None:
+            raise DataError(
+                f"{table.where(bad, instrument.text_columns()[0])}: is empty, but"
+                f" '{instrument.name}' is to touch something there; say what"
+            )
         visits, pairs, details = rows[mine], pairs[mine], details[mine]
     else:
         return None
     shift = np.zeros(len(table.rows), dtype=np.intp) if setups is None else setup_pairs(robot, instrument, setups)
     return Readings(visits, pairs + shift[visits], np.zeros((len(visits), 0)), None, details)
-
-
-def _require_planned_readings(robot: Robot, instrument: Instrument, table: Table, without_target: IntArray) -> None:
-    """Raise `DataError` if a row names an instrument that touches, but not the touched thing."""
-    cells = _instrument_cells(robot, table)
-    bad = next((int(k) for k in without_target if cells and cells[k]), None)
-    if bad is not None:
-        raise DataError(
-            f"{table.where(bad, instrument.text_columns()[0])}: is empty, but"
-            f" '{instrument.name}' is to touch something there; say what"
-        )

@@ -128,13 +128,9 @@ def boxes(joints: FloatArray, by_name: IntArray, count: int, depths: IntArray) -
     the one nearest to the base is cut; if several are as near, the one whose values differ first, pose by pose. If
     the poses cannot be halved, the side to which a joint's values lean has one more.
 
-    Args:
-        joints, by_name: Arguments of `repeated_poses`.
-        count: Number of boxes; no more than there are different poses.
-        depths: How far each joint is from the base, (n_actuated,), such as `Mechanism.depths`.
-
-    Returns:
-        Number of the box of each row, (n,); repeats of one pose are in the same.
+    The result is the number of the box of each row, (n,), the same for repeats of one pose (`repeated_poses`).
+    There are `count` boxes, but no more than different poses. `depths` says how far each joint is from the base,
+    (n_actuated,).
     """
     order, starts = _rows_by_pose(joints, by_name)
     sizes = np.diff(starts, append=len(order))

@@ -63,14 +63,17 @@ def read_robot_table(source: Source, robot: Robot, *, growing: Sequence[str] | N
 
 def _deviation_columns(robot: Robot, table: Table, guessed: Mapping[str, str]) -> dict[str, str]:
     """Columns U95 of X, Y and Z, and the standard deviations that their halves are; none where one is missing."""
-    reading = [instrument for instrument in robot.instruments if instrument.reads_positions]
+    instrument, columns = _coordinates(robot)
     found = {name: match[1].lower() for name in table.names if (match := _U95.fullmatch(name))}
-    if sorted(found.values()) != list(_AXES) or len(reading) != 1:
+    if sorted(found.values()) != list(_AXES) or not columns or not set(columns) <= {*table.names, *guessed.values()}:
         return {}
-    columns = [column.name for column in reading[0].columns()]
-    if not set(columns) <= {*table.names, *guessed.values()}:
-        return {}
-    return {name: f"{reading[0].name}_std_{axis}" for name, axis in found.items()}
+    return {name: f"{instrument}_std_{axis}" for name, axis in found.items()}
+
+
+def _coordinates(robot: Robot) -> tuple[str, list[str]]:
+    """The only instrument that reads positions, and its columns; none if there are several or none."""
+    reading = [instrument for instrument in robot.instruments if instrument.reads_positions]
+    return (reading[0].name, [column.name for column in reading[0].columns()]) if len(reading) == 1 else ("", [])
 
 
 def _check_units(robot: Robot, table: Table) -> None:
@@ -118,22 +121,19 @@ def _joints(robot: Robot, table: Table) -> dict[str, str]:
     if sorted(same.values()) == sorted(joints):
         return same
     numbers = {name: int(match.group(1)) for name in table.names if (match := _NUMBERED.fullmatch(_plain(name)))}
-    if sorted(numbers.values()) != list(range(1, len(joints) + 1)):
+    counted = list(range(1, len(joints) + 1))
+    if sorted(numbers.values()) != counted:
         return {}
-    ends = [re.search(r"(\d+)\D*$", joint) for joint in joints]
-    joint_numbers = [int(end.group(1)) for end in ends if end is not None]
-    order = (
-        joint_numbers if sorted(joint_numbers) == list(range(1, len(joints) + 1)) else list(range(1, len(joints) + 1))
-    )
+    in_names = [int(end.group(1)) for joint in joints if (end := re.search(r"(\d+)\D*$", joint))]
+    order = in_names if sorted(in_names) == counted else counted
     return {name: joints[order.index(number)] for name, number in numbers.items()}
 
 
 def _positions(robot: Robot, table: Table, joints: set[str]) -> dict[str, str]:
     """Columns X, Y, Z, unless joints, and the coordinates that they stand for; none where their meaning is unclear."""
-    reading = [instrument for instrument in robot.instruments if instrument.reads_positions]
     units = {name: unit for name, unit in zip(table.names, table.units, strict=True) if name not in joints}
     axes = {name: _plain(name) for name in units if _plain(name) in _AXES and units[name]}
-    columns = [column.name for column in reading[0].columns()] if len(reading) == 1 else []
+    _, columns = _coordinates(robot)
     if not axes:  # else take the axes of a single named body
         named = {match[1] for name in units if units[name] and (match := _NAMED.fullmatch(name))}
         whole = [name for name in named if all(f"{name}_{axis}" in units for axis in _AXES)]

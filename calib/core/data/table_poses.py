@@ -9,8 +9,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError, nearest
-from calib.core.base.tolerances import stated_tolerance
-from calib.core.base.units import quantity_text
+from calib.core.base.units import quantity_text, stated_tolerance
 from calib.core.data.instrument_cells import labels_of_rows, lacking_column, names_of_poses, setups_of
 from calib.core.data.measurement_columns import APPROACH
 from calib.core.data.measurements import Poses, states_by_order
@@ -92,23 +91,23 @@ def _joints_of_table(
         if name not in names:
             continue
         sensor = sensed.get(name)
-        if sensor in reading and name in table.names:
-            raise DataError(
-                f"{table.path}: column '{table.header(name)}' and inclinometer '{sensor}' give the same joint; leave"
-                " one out"
-            )
-        if name not in table.names and sensor is None:
+        if name in table.names:
+            if sensor in reading:
+                raise DataError(
+                    f"{table.path}: column '{table.header(name)}' and inclinometer '{sensor}' give the same joint;"
+                    " leave one out"
+                )
+            joints[:, j] = table.column(name, robot.mechanism.dimensions[name])
+        elif sensor is None:
             raise DataError(
                 f"{lacking_column(name, robot, table)} (if your file has another name for it, translate that name under"
                 " 'columns' in the robot description)"
             )
-        if name not in table.names and sensor not in reading:
+        elif sensor not in reading:
             raise DataError(
                 f"{table.path}: no column '{name}', and none of inclinometer '{sensor}' for this joint: expected"
                 f" {sensor}_accelerometer_x, ..., or {sensor}_gravity_x, ..., or {sensor}_gravity_tilt_x, ..."
             )
-        if name in table.names:
-            joints[:, j] = table.column(name, robot.mechanism.dimensions[name])
     stated = (robot.description.gravity or GravitySection()).stated_directions(tuple(robot.description.setups))
     down = stated[np.zeros(len(joints), dtype=np.intp) if setups is None else setups]
     for name in reading:
@@ -149,16 +148,10 @@ def conditions_of_table(
 ) -> tuple[dict[str, FloatArray], FloatArray | None]:
     """Return the conditions of the robot in each row of a table, and the directions of approach.
 
-    Args:
-        joints: The commands of its rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then their
-            order tells nothing.
-
-    Returns:
-        Columns that terms depend on, and those of gravity where the description speaks of it, (n,) [SI] by name, NaN
-        where empty; directions, 0 for joints without a column, (n, n_actuated), None where no joint has one.
-
-    Raises:
-        DataError: A cell, a direction of gravity or the name of a joint is wrong.
+    Conditions are columns that terms depend on, and those of gravity where the description speaks of it, (n,) [SI] by
+    name, NaN where empty; directions are 0 for joints without a column, (n, n_actuated), None where no joint has one.
+    `joints` are the commands of the rows, (n, n_actuated) [m or rad]; None where they are yet to be found: then their
+    order tells nothing. `DataError` if a cell, a direction of gravity or the name of a joint is wrong.
     """
     dimensions, with_gravity = condition_columns(robot.terms), robot.description.gravity is not None
     keys = [key for key in dimensions if key in table.names and (with_gravity or key not in GRAVITY_COLUMNS)]

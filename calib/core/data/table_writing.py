@@ -37,12 +37,8 @@ def format_table(columns: Written, comments: Sequence[str] = ()) -> str:
     A,0.1
     B,2.0
 
-    Args:
-        columns: (header, values) of each column, values of equal length; NaN in an array gives an empty cell.
-        comments: Lines to put first, behind #.
-
-    Raises:
-        ValueError: Columns of different lengths.
+    NaN in an array gives an empty cell. Comments are lines to put first, behind #. Columns of different lengths are a
+    `ValueError`.
     """
     lines = ["# " + _FORMULA_IN_COMMENT.sub(r"\1 ", visible(comment)) for comment in comments]
     lines.append(",".join([_quote_text(header) for header, _ in columns]))

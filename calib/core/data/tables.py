@@ -19,7 +19,7 @@ from typing import Any, Protocol, SupportsIndex, TypeGuard, cast
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DataError, nearest_column
+from calib.core.base.errors import DataError, listed_columns, nearest
 from calib.core.base.files import read_text
 from calib.core.base.letters import unseen, visible
 from calib.core.base.own_files import is_mark
@@ -108,8 +108,10 @@ class Table:
 
     def lacks(self, name: str, taken: Collection[str] = ()) -> str:
         """Return the message on a column that is missing; of the columns here, those `taken` are not offered."""
-        hint = nearest_column(name, list(map(self.header, self.names)), set(map(self.header, taken)))
-        return f"{self.path}: no column '{name}'{hint}"
+        columns, used = list(map(self.header, self.names)), set(map(self.header, taken))
+        hint = nearest(name, [column for column in columns if column not in used])
+        hint = f"{hint} The" if hint.endswith("?") else "; the"
+        return f"{self.path}: no column '{name}'{hint} file has {listed_columns(columns)}"
 
     def column(self, name: str, dimension: Dimension | None, *, gaps: bool = False) -> FloatArray:
         """Return a column of numbers of a dimension (None: pure numbers) in SI, (n_rows,).
@@ -126,12 +128,12 @@ class Table:
             )
         place = f"{self.path}, column '{self.header(name)}'"
         divisor = 1.0 if dimension is None else per_si(self.units[index], dimension, place, DataError)
-        values = self._numbers(index, gaps=gaps)
+        values = self._numbers(name, gaps=gaps)
         if np.all(np.isnan(values)):
             return values
         worst = int(np.nanargmax(np.abs(values)))
         if self.units[index] is None and dimension is not None:
-            check_plausible(values[worst], dimension, self._where(worst, index), "into the header")
+            check_plausible(values[worst], dimension, self.where(worst, name), "into the header")
         values = values / divisor
         if name in self.maps:
             mapped = self.maps[name]
@@ -139,7 +141,7 @@ class Table:
             values = mapped.factor * values + mapped.offset / scale
         if abs(values[worst]) > _LARGEST.get(dimension or "", _LARGEST_NUMBER):
             raise DataError(
-                f"{self._where(worst, index)}: {self.rows[worst][index]:.60} is beyond what any instrument measures;"
+                f"{self.where(worst, name)}: {self.rows[worst][index]:.60} is beyond what any instrument measures;"
                 " correct it, or leave the row out"
             )
         return values
@@ -152,13 +154,14 @@ class Table:
         texts = [text_of(cells[index].strip()) for cells in self.rows]
         if unseen("".join(texts)):
             row, problem = next((row, problem) for row, text in enumerate(texts) if (problem := unseen(text)))
-            raise DataError(f"{self._where(row, index)}: {problem}")
+            raise DataError(f"{self.where(row, name)}: {problem}")
         return "\n".join(texts).split("\n") if texts else []  # new: text among the cells would keep all their memory
 
-    def _numbers(self, index: int, *, gaps: bool) -> FloatArray:
-        if self.separator != ",":
-            self._check_marks(index)
+    def _numbers(self, name: str, *, gaps: bool) -> FloatArray:
+        index = self.names.index(name)
         cells = [row[index] for row in self.rows]
+        if self.separator != ",":
+            self._check_marks(name, cells)
         try:
             values = np.array([float(cell) for cell in cells])
             if np.all(np.isfinite(values)) and "_" not in ",".join(cells):  # float() also reads 1_000
@@ -167,28 +170,24 @@ class Table:
             pass  # the error below names the cell
         return np.array(
             [
-                np.nan if gaps and not cell.strip() else read_number(cell, self._where(k, index), self.separator)
+                np.nan if gaps and not cell.strip() else read_number(cell, self.where(k, name), self.separator)
                 for k, cell in enumerate(cells)
             ]
         )
 
-    def _check_marks(self, index: int) -> None:
+    def _check_marks(self, name: str, cells: Sequence[str]) -> None:
         """Raise `DataError` where a column has commas and points, as it is unclear which of them are decimal."""
-        comma = next((k for k, row in enumerate(self.rows) if "," in row[index] and "." not in row[index]), None)
-        point = next((k for k, row in enumerate(self.rows) if "." in row[index] and "," not in row[index]), None)
+        comma = next((k for k, cell in enumerate(cells) if "," in cell and "." not in cell), None)
+        point = next((k for k, cell in enumerate(cells) if "." in cell and "," not in cell), None)
         if comma is not None and point is not None:
-            with_comma, with_point = (self.rows[k][index].strip() for k in (comma, point))
             raise DataError(
-                f"{self._where(comma, index)}: '{with_comma:.60}', but '{with_point:.60}' in line"
+                f"{self.where(comma, name)}: '{cells[comma].strip():.60}', but '{cells[point].strip():.60}' in line"
                 f" {self.lines[point]}; write all decimals of a column one way"
             )
 
     def where(self, row: SupportsIndex, name: str = "") -> str:
         """Return the place of a row, or of its cell in a column, for messages."""
         return f"{self.path}, line {self.lines[row]}" + (f", column '{self.header(name)}'" if name else "")
-
-    def _where(self, row: int, index: int) -> str:
-        return self.where(row, self.names[index])
 
 
 def read_number(cell: str, where: str, separator: str = ",") -> float:
@@ -230,10 +229,7 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
 
 
 def read_table(
-    path: Source,
-    renamed: Mapping[str, str] | None = None,
-    *,
-    growing: Sequence[str] | None = None,
+    path: Source, renamed: Mapping[str, str] | None = None, *, growing: Sequence[str] | None = None
 ) -> Table:
     """Read a CSV file, its columns separated by commas, semicolons or tabs; or a workbook, or a ROS bag.
 
@@ -245,32 +241,35 @@ def read_table(
     Raises:
         DataError: Unreadable file, no header or rows, duplicate columns, rows of the wrong length.
     """
+    renamed = renamed or {}
     if is_columns(path):
-        columns = [(name, list(path[name])) for name in unique_headers(path)]
-        return _table_of_columns(IN_MEMORY, columns, (), renamed or {})
+        headers = [str(name) for name in (path if isinstance(path, Mapping) else path.columns)]
+        _require_unique(IN_MEMORY, headers)
+        return _table_of_columns(IN_MEMORY, [(name, list(path[name])) for name in headers], (), renamed)
     path = cast("Path | str", path)
+    if growing is not None:
+        return _table_of_lines(str(path), growing, renamed)
     if is_bag(path):
         columns, remarks = load_entry("calib.methods", "bags").read_bag(path)
-        return _table_of_columns(str(path), columns, remarks, renamed or {})
-    other = None if growing is not None or is_workbook(path) else read_other(path, renamed or {})
+        return _table_of_columns(str(path), columns, remarks, renamed)
+    if is_workbook(path):
+        return _table_of_lines(str(path), workbook_lines(path), renamed)
+    other = read_other(path, renamed)
     if isinstance(other, dict):
-        return _table_of_columns(str(path), list(other.items()), (), renamed or {})
-    if other is not None:
-        lines = other
-    elif growing is not None:
-        lines = list(growing)
-    elif is_workbook(path):
-        lines = workbook_lines(path)
-    else:
-        lines = read_text(path, "a CSV file", DataError).split("\n")
-    above = header_line(str(path), lines)
+        return _table_of_columns(str(path), list(other.items()), (), renamed)
+    lines = read_text(path, "a CSV file", DataError).split("\n") if other is None else other
+    return _table_of_lines(str(path), lines, renamed)
+
+
+def _table_of_lines(path: str, lines: Sequence[str], renamed: Mapping[str, str]) -> Table:
+    above = header_line(path, lines)
     comments, filled = _without_comments(lines, above)
     if not filled:
         raise DataError(f"{path}: is empty; expected a header line and rows of numbers")
     first, separator = filled[0], separator_of(lines[filled[0] - 1])
-    cells = {number: _cells(str(path), lines[number - 1], number, separator) for number in filled}
+    cells = {number: _cells(path, lines[number - 1], number, separator) for number in filled}
     header = cells.pop(first)
-    names, units, maps, headers = _header(str(path), header, renamed or {})
+    names, units, maps, headers = _header(path, header, renamed)
     below = units_below(header, cells[filled[1]]) if cells else None
     if below:
         units = tuple(unit or other for unit, other in zip(units, below, strict=True))
@@ -279,11 +278,11 @@ def read_table(
         warn_once(f"{path}: took line {first} for the header, and the lines above it for comments")
     if below:
         warn_once(f"{path}: took the line below the header for units")
-    _check_widths(str(path), cells, len(names), first, separator)
+    _check_widths(path, cells, len(names), first, separator)
     if not cells:
         raise DataError(f"{path}: has a header but no rows")
     rows = tuple(cells.values())
-    return Table(str(path), names, units, rows, tuple(cells), tuple(map(visible, comments)), separator, maps, headers)
+    return Table(path, names, units, rows, tuple(cells), tuple(map(visible, comments)), separator, maps, headers)
 
 
 def _without_comments(lines: Sequence[str], above: int) -> tuple[list[str], list[int]]:
@@ -328,13 +327,10 @@ def _table_of_columns(
     return Table(path, names, units, rows, tuple(range(1, len(rows) + 1)), comments, ",", maps, headers)
 
 
-def unique_headers(table: Columns) -> list[str]:
-    """Return the headers of a table in memory; one that is there twice is a `DataError`."""
-    headers = [str(name) for name in (table if isinstance(table, Mapping) else table.columns)]
-    again = next((name for name in headers if headers.count(name) > 1), None)
+def _require_unique(path: str, names: Sequence[str]) -> None:
+    again = next((name for name in names if names.count(name) > 1), None)
     if again is not None:
-        raise DataError(f"{IN_MEMORY}: column '{again}' appears twice; names must be unique")
-    return headers
+        raise DataError(f"{path}: column '{again}' appears twice; names must be unique")
 
 
 def _as_text(cell: object) -> str:
@@ -371,7 +367,5 @@ def _header(
             raise DataError(f"{path}: column {number} has no name in the header; name it, or remove it")
         names.append(name)
         units.append(unit)
-    for name in names:
-        if names.count(name) > 1:
-            raise DataError(f"{path}: column '{name}' appears twice; names must be unique")
+    _require_unique(path, names)
     return tuple(names), tuple(units), maps, headers

@@ -171,7 +171,7 @@ class Fit(SolvedFit, HintedObject):
         """Uncertainty of positions, in the frame in which it is reported."""
         return ReportedUncertainty.from_robot(self.robot, self.uncertainty, self.identification.data.joints)
 
-    @property
+    @cached_property
     def uncertainty(self) -> ParameterUncertainty:
         """Uncertainty of the free parameters."""
         factor, contains = self.statistics.coverage_factor, self.contains(Uncertainty.POSITION)

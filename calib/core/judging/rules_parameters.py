@@ -189,7 +189,7 @@ def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int
     known = posterior_information(rows.factor[:n, :-1] / linear.factor, Prior(inside))
     left = np.zeros((n, tried.shape[1]))
     left[inside, -1] = rows.deviations[inside]
-    step = -known.root @ (known.root.T @ (rows.jacobian.T @ tried / linear.factor**2 + left))
+    step = -known.solve(rows.jacobian.T @ tried / linear.factor**2 + left)
     measured: FloatArray = np.zeros((0, tried.shape[1]))
     for part in slices(len(tried)):
         measured = extend_reduced(measured, (tried[part] + rows.jacobian[part] @ step) / linear.factor)

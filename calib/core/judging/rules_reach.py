@@ -9,8 +9,7 @@ import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, evenly_spread
 from calib.core.base.memoize import memoize
-from calib.core.base.tolerances import stated_tolerance
-from calib.core.base.units import DISPLAY_UNIT, quantity_text
+from calib.core.base.units import DISPLAY_UNIT, quantity_text, stated_tolerance
 from calib.core.base.words import count_noun, joints_named, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.joint_conventions import wrapped_terms

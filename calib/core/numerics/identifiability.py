@@ -34,7 +34,6 @@ from calib.core.numerics import linalg
 
 _AT_ONCE = 1 << 14  # rows of one factorisation
 _BLOCK = 32  # columns of a block in a factorisation
-_INVERTED = 96  # LAPACK inverts a triangle with at most this many columns as fast as by halves
 _EXACT = 1e-6  # least 1 / condition of a factor of J^T J that is exact enough
 MANY_COLUMNS = 128
 """From this number of columns, J^T J is factorised (Cholesky) and not J (QR), if that is exact enough."""
@@ -147,17 +146,8 @@ def factor_products(products: FloatArray) -> FloatArray | None:
 
 
 def inverse_of_triangle(upper: FloatArray) -> FloatArray:
-    """Return the inverse of an upper triangular matrix, (n, n), by halves, so that nearly all work is in products."""
-    n = len(upper)
-    if n <= _INVERTED:
-        return np.asarray(scipy.linalg.lapack.dtrtri(upper)[0])
-    first, last = slice(n // 2), slice(n // 2, n)
-    inverse = np.zeros((n, n), order="F")
-    above, below = (inverse_of_triangle(upper[part, part]) for part in (first, last))
-    between = scipy.linalg.blas.dtrmm(-1.0, above, upper[first, last])
-    inverse[first, first], inverse[last, last] = above, below
-    inverse[first, last] = scipy.linalg.blas.dtrmm(1.0, below, between, side=1, overwrite_b=1)
-    return inverse
+    """Return the inverse of an upper triangular matrix, (n, n)."""
+    return np.asarray(scipy.linalg.lapack.dtrtri(upper)[0])
 
 
 def square_of_triangle(upper: FloatArray) -> FloatArray:

@@ -100,8 +100,7 @@ class LinearModel:
     def step(self, residuals: FloatArray | None = None) -> FloatArray:
         """Return the step d to the minimum, (n_free,), with other residuals (n_rows,) if given."""
         right = self.residuals if residuals is None else residuals
-        root, pull = self.posterior_information.root, self.jacobian.T @ right + self.prior.gradient(self.deviations)
-        return -root @ (root.T @ pull)
+        return -self.posterior_information.solve(self.jacobian.T @ right + self.prior.gradient(self.deviations))
 
     @property
     def cost(self) -> float:

@@ -122,6 +122,12 @@ class Information(ReadOnlyArrays):
         """T T^T, (n_parameters, n_parameters)."""
         return square_of_triangle(self.root) if self._all_clear else self.root @ self.root.T
 
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Return T T^T times columns, (n_parameters, n), or times one (n_parameters,)."""
+        if not self._all_clear:
+            return self.root @ (self.root.T @ right)
+        return np.asarray(scipy.linalg.lapack.dpotrs(self.factor, right)[0])
+
     def covariance_from(self, core: FloatArray) -> FloatArray:
         """Return T C T^T for a core C (rank, rank), (n_parameters, n_parameters)."""
         if not self._all_clear:

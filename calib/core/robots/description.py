@@ -32,8 +32,7 @@ from calib.core.base.sections import (
     Section,
     parse_yaml,
 )
-from calib.core.base.tolerances import stated_tolerance
-from calib.core.base.units import Dimension
+from calib.core.base.units import Dimension, stated_tolerance
 from calib.core.instruments.kinds import AnyInstrument
 from calib.core.instruments.noise import PositionSigma
 from calib.core.robots.fleet_prior import FleetSection

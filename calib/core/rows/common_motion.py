@@ -28,6 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
+from calib.core.instruments.rotations import rotation_vectors
 from calib.core.numerics import linalg
 from calib.core.numerics.rigid import cross_matrices
 from calib.core.robots.configurations import Configurations
@@ -96,6 +97,13 @@ class UnknownPlaces:
         """Number of components of m."""
         return 6 * self.base + 3 * len(self.points) + 3 * len(self.frames)
 
+    @property
+    def tools(self) -> list[tuple[int, slice, bool]]:
+        """Each motion of a tool: its target, its components of m, and whether it turns."""
+        motions = [*((t, False) for t in self.points), *((t, True) for t in self.frames)]
+        first = 6 * self.base
+        return [(t, slice(first + 3 * k, first + 3 * k + 3), turns) for k, (t, turns) in enumerate(motions)]
+
 
 @dataclass(frozen=True, eq=False)
 class CommonMotion(ReadOnlyArrays):
@@ -116,13 +124,9 @@ class CommonMotion(ReadOnlyArrays):
 
     @staticmethod
     def from_robots(robot: Robot, onto: Robot, loose: UnknownPlaces, joints: FloatArray) -> CommonMotion:
-        """Align a robot with another.
+        """Align a robot with another at poses that both can assemble, (n, n_actuated) [m or rad].
 
-        Args:
-            robot: The robot to move.
-            onto: The other robot.
-            loose: The places of the robot that are moved, starting from their values in the other robot.
-            joints: Poses that both can assemble, (n, n_actuated) [m or rad].
+        Its `loose` places are moved, starting from their values in the other robot.
         """
         motion = CommonMotion(robot, loose, joints, np.zeros(3), np.zeros((loose.n_motions, 0)))
         if not (len(joints) and loose.counts and loose.n_motions):
@@ -138,7 +142,8 @@ class CommonMotion(ReadOnlyArrays):
         motion = replace(motion, basis=right[values > _HARDLY_MOVES].T)
         for _ in range(_ROUNDS):
             x, turned = target_poses(motion.robot, configurations)
-            off = np.concatenate([positions - x, _turns(rotations, turned)], axis=2)[..., None]
+            turns = rotation_vectors((rotations @ turned.swapaxes(2, 3)).reshape(-1, 3, 3)).reshape(x.shape)
+            off = np.concatenate([positions - x, turns], axis=2)[..., None]
             step = motion._best_motion(motion.columns(x, turned), off)[:, 0]
             motion = replace(motion, robot=motion._move_robot(motion.basis @ step))
             if np.max(np.abs(step), initial=0.0) < _CONVERGED:
@@ -163,10 +168,8 @@ class CommonMotion(ReadOnlyArrays):
             arms = (positions - self.centre).reshape(-1, 3)
             columns[:, :, :3, 3:6] = -cross_matrices(arms).reshape(n, n_targets, 3, 3) / length
             columns[:, :, 3:, 3:6] = np.eye(3) / length
-        for t, place in self._places(loose.points, 6 * loose.base).items():
-            columns[:, t, :3, place] = rotations[:, t]
-        for t, place in self._places(loose.frames, 6 * loose.base + 3 * len(loose.points)).items():
-            columns[:, t, 3:, place] = rotations[:, t] / length
+        for t, place, turns in loose.tools:
+            columns[:, t, slice(3, 6) if turns else slice(3), place] = rotations[:, t] / (length if turns else 1.0)
         return columns @ self.basis
 
     def _best_motion(self, columns: FloatArray, changes: FloatArray) -> FloatArray:
@@ -184,21 +187,15 @@ class CommonMotion(ReadOnlyArrays):
             turn = pin.exp3(motion[3:6] / length)
             shift = self.centre + motion[:3] - turn @ self.centre
             moves[self._base] = pin.SE3(turn, shift).inverse()  # the origin is the frame seen from the robot
-        for t, place in self._places(loose.points, 6 * loose.base).items():
-            moves[self._tool(t)] = pin.SE3(np.eye(3), motion[place])
-        for t, place in self._places(loose.frames, 6 * loose.base + 3 * len(loose.points)).items():
-            moves[self._tool(t)] = moves[self._tool(t)] * pin.SE3(pin.exp3(motion[place] / length), np.zeros(3))
+        for t, place, turns in loose.tools:
+            turn, shift = (pin.exp3(motion[place] / length), np.zeros(3)) if turns else (np.eye(3), motion[place])
+            moves[self._tool(t)] = moves[self._tool(t)] * pin.SE3(turn, shift)
         placed = {name: mechanism.placement(name) * move for name, move in moves.items()}
         return replace(self.robot, mechanism=mechanism.with_placements(placed))
 
-    @staticmethod
-    def _places(targets: tuple[int, ...], first: int) -> dict[int, slice]:
-        """Components of m that belong to each target, from `first` on."""
-        return {t: slice(first + 3 * k, first + 3 * k + 3) for k, t in enumerate(targets)}
-
     def _origins(self) -> list[str]:
-        tools = [self._tool(t) for t in sorted({*self.loose.points, *self.loose.frames})]
-        return [*([self._base] if self.loose.base else []), *tools]
+        tools = sorted({*self.loose.points, *self.loose.frames})
+        return [*([self._base] if self.loose.base else []), *map(self._tool, tools)]
 
     @property
     def _base(self) -> str:
@@ -213,9 +210,3 @@ def target_poses(robot: Robot, configurations: Configurations) -> tuple[FloatArr
     mechanism = robot.mechanism
     poses = relative_poses(mechanism, configurations, mechanism.targets).swapaxes(0, 1)
     return poses[..., :3, 3], poses[..., :3, :3]
-
-
-def _turns(rotations: FloatArray, others: FloatArray) -> FloatArray:
-    """Rotation vectors from `others` to `rotations`, (n, n_targets, 3, 3) each, in common axes, (n, n_targets, 3)."""
-    relative = (rotations @ others.swapaxes(2, 3)).reshape(-1, 3, 3)
-    return np.array([pin.log3(turn) for turn in relative]).reshape(rotations.shape[:3])

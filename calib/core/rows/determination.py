@@ -82,12 +82,9 @@ class Determination(ReadOnlyArrays):
 
 
 def determination(columns: FloatArray, parameters: Sequence[Parameter], free: BoolArray) -> Determination:
-    """Return the ranks of the derivatives of measured coordinates.
+    """Return the ranks of the derivatives of measured coordinates by parameters, `free` where they are not held.
 
-    Args:
-        columns: d(coordinates)/d(parameters), not scaled, or their triangular factor, (n_rows, n_parameters)
-            [m per m or rad].
-        free: Mask of the parameters that are not held, (n_parameters,).
+    The derivatives, or their triangular factor, are not scaled, (n_rows, n_parameters) [m per m or rad].
     """
     unit, lengths = unit_columns(columns)
     has_prior = np.array([p.prior for p, use in zip(parameters, free, strict=True) if use], dtype=bool)

@@ -20,8 +20,8 @@ from calib.core.base.threads import one_blas_thread
 from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.common_motion import CommonMotion, UnknownPlaces, target_poses
-from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UncertaintyJacobian
+from calib.core.rows.common_motion import CommonMotion, UnknownPlaces
+from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty
 
 OWN_FRAME = "in the robot's own base frame, because no instrument stands at a known place"
 """Name of the frame of the report if it is not the measurement frame."""
@@ -80,17 +80,11 @@ class ReportedUncertainty(ReadOnlyArrays):
     ) -> PositionUncertainty:
         """Predict positions in the measurement frame, with their covariance in this frame.
 
-        Args:
-            q: Commands, (n_poses, n_actuated) [m or rad].
-            context: Conditions of the commands; joint terms may depend on them.
-            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
-            turns: Whether to compute the covariance of the orientations as well.
-
-        Raises:
-            UnreachablePoseError: A loop stays open.
+        Commands are q, (n_poses, n_actuated) [m or rad]; for the other arguments see `ParameterUncertainty.predict`. A
+        loop that stays open is an `UnreachablePoseError`.
         """
         counts = None if self.counts is None else self.uncertainty.counting(self.robot, self.counts)
-        common = None if self.motion is None else self._common
+        common = None if self.motion is None else (self.motion, self._following)
         known = self.uncertainty.predict(self.robot, q, context, near, turns=turns, counts=counts, common=common)
         if common is None:
             return known
@@ -101,13 +95,8 @@ class ReportedUncertainty(ReadOnlyArrays):
         """Derivative of the common motion z by the uncertain quantities, (k, n_uncertain)."""
         assert self.motion is not None
         joints = self.motion.joints
-        linear = self.uncertainty.linearise(self.robot, joints, Context.neutral(*joints.shape))
+        linear = self.uncertainty.linearise(self.robot, joints, Context.neutral(*joints.shape), turns=False)
         return self.motion.following(linear.jacobian) * self.uncertainty.lasting(self.robot)
-
-    def _common(self, linear: UncertaintyJacobian) -> tuple[FloatArray, FloatArray]:
-        """Factors of the derivative of each target's common motion, (n, n_targets, 6, k) and (k, n_uncertain)."""
-        assert self.motion is not None
-        return self.motion.columns(*target_poses(linear.robot, linear.configurations)), self._following
 
 
 def poses_of_agreement(nominal: Robot, robot: Robot, joints: FloatArray) -> FloatArray:

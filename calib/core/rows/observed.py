@@ -116,13 +116,22 @@ class _Work:
     def fill(self, part: slice, swept: kinematics.Sweep, configurations: Configurations, twists: FloatArray) -> None:
         """Compare the readings of a chunk of visits."""
         first, last = np.searchsorted(self._sorted, [part.start, part.stop])
-        index = self._order[first:last]
+        index, visits = self._order[first:last], self.readings.visits - part.start
         if len(index) == 0:
             return
-        if isinstance(self.instrument, JointInstrument):
-            self._fill_joint(self.instrument, as_slice(index), part, swept, configurations, twists)
+        if not isinstance(self.instrument, JointInstrument):
+            self._fill_pairs(self._readings_of_pairs(index), visits, swept, twists)
             return
-        self._fill_pairs(self._readings_of_pairs(index), part, swept, twists)
+        mechanism, own = self.robot.mechanism, as_slice(index)
+        joint = mechanism.origin_names.index(self.instrument.joint)
+        joints = mechanism.all_joints(configurations.actuated[part], configurations.passive[part])
+        comparison = self._compare(own, joints[visits[own], joint])
+        assert isinstance(comparison, JointComparison)  # the kind reads a joint
+        if self._columns.shape[2]:
+            motion = passive_motion(mechanism, swept, mechanism.select_passive[joint], twists)
+            if motion.shape[2] > len(self._by):
+                motion[:, :, len(self._by) :] += mechanism.select_actuated[joint]
+            self._fill_columns(own, comparison.by_joint[:, :, None] * motion[visits[own]], comparison.by_unknown)
 
     def _readings_of_pairs(self, index: IntArray) -> dict[int, IntArray | slice]:
         if len(self._numbers) == 1:
@@ -131,9 +140,9 @@ class _Work:
         return {k: as_slice(chosen) for k in self._numbers if len(chosen := index[number == k])}
 
     def _fill_pairs(
-        self, chosen: dict[int, IntArray | slice], part: slice, swept: kinematics.Sweep, twists: FloatArray
+        self, chosen: dict[int, IntArray | slice], visits: IntArray, swept: kinematics.Sweep, twists: FloatArray
     ) -> None:
-        pairs, visits = tuple(self.all_pairs[k] for k in chosen), self.readings.visits - part.start
+        pairs = tuple(self.all_pairs[k] for k in chosen)
         comparisons: list[Comparison] = []
         for pair, own in zip(pairs, chosen.values(), strict=True):
             rotation, position = kinematics.seen_frame(swept, pair)
@@ -148,33 +157,12 @@ class _Work:
             motion, by_twist, at = motions[:, k], comparison.by_twist[:, :, : motions.shape[2]], visits[own]
             if len(at) != len(motion) or np.any(at != np.arange(len(at))):
                 motion = motion[at]
-            self._columns[own] = motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
-            self._columns[own, :, self._own_columns] += comparison.by_unknown[:, :, self._observed]
+            derivative = motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
+            self._fill_columns(own, derivative, comparison.by_unknown)
 
-    def _fill_joint(
-        self,
-        instrument: JointInstrument,
-        chosen: IntArray | slice,
-        part: slice,
-        swept: kinematics.Sweep,
-        configurations: Configurations,
-        twists: FloatArray,
-    ) -> None:
-        mechanism = self.robot.mechanism
-        at = self.readings.visits[chosen] - part.start
-        index = mechanism.origin_names.index(instrument.joint)
-        joints = mechanism.all_joints(configurations.actuated[part], configurations.passive[part])
-        comparison = self._compare(chosen, joints[at, index])
-        assert isinstance(comparison, JointComparison)  # the kind reads a joint
-        if not self._columns.shape[2]:
-            return
-        motion = passive_motion(mechanism, swept, mechanism.select_passive[index], twists)
-        self._columns[chosen] = comparison.by_joint[:, :, None] * motion[at]
-        self._columns[chosen, :, self._own_columns] += comparison.by_unknown[:, :, self._observed]
-        if self._columns.shape[2] > len(self._by):
-            self._columns[chosen, :, len(self._by) :] += (
-                comparison.by_joint[:, :, None] * mechanism.select_actuated[index]
-            )
+    def _fill_columns(self, chosen: IntArray | slice, derivative: FloatArray, by_unknown: FloatArray) -> None:
+        self._columns[chosen] = derivative
+        self._columns[chosen, :, self._own_columns] += by_unknown[:, :, self._observed]
 
     def _compare(self, chosen: IntArray | slice, seen: View | FloatArray) -> Comparison | JointComparison:
         every = isinstance(chosen, slice) and chosen == slice(0, len(self._sorted))
@@ -206,9 +194,8 @@ def predict_readings(
             given.
     """
     if looks is None:
-        looks = {
-            instrument.name: _all_looks(instrument, len(configurations.actuated)) for instrument in robot.instruments
-        }
+        n = len(configurations.actuated)
+        looks = {instrument.name: _all_looks(instrument, n) for instrument in robot.instruments}
     result = {}
     for name, seen in views_of_instruments(robot, configurations, looks).items():
         readings = looks[name]
@@ -261,12 +248,8 @@ def _looks_of(robot: Robot, instrument: Instrument, poses: Poses) -> Readings:
     if instrument.name in poses.planned:
         return poses.planned[instrument.name]
     if isinstance(poses, Measurements) and instrument.touches:
-        index = np.arange(len(poses))
-        touches = (
-            readings_of_visits(poses.readings[instrument.name], index)
-            if instrument.name in poses.readings
-            else _all_looks(instrument, 0)
-        )
+        read = poses.readings.get(instrument.name)
+        touches = _all_looks(instrument, 0) if read is None else readings_of_visits(read, np.arange(len(poses)))
         return Readings(touches.visits, touches.pairs, np.zeros((len(touches), 0)), None, touches.details)
     looks = _all_looks(instrument, len(poses))
     if poses.setups is None:

@@ -10,20 +10,16 @@ independent error of each joint at each pose, as large as residuals show (`calib
 
     covariance of x(q)  =  B C B^T + delta^2 K K^T,      K = d(position)/d(joints), scaled
 
-The robot's repeatability is not included.
-
-Every uncertainty of positions comes from here (`ParameterUncertainty`): of `predict`, `compensate`, `solve`, `watch`,
-`study` and `verify`.
-
-Joint terms that a choice left out, and that the data do not exclude, have coefficients that are zero and uncertain
-(`UndecidedTerms`). They join the free parameters in C and in B, with their correlations.
+The robot's repeatability is not included. Joint terms that a choice left out, and that the data do not exclude, have
+coefficients that are zero and uncertain (`UndecidedTerms`). They join the free parameters in C and in B, with their
+correlations.
 
 Reference: jcgm100 (GUM), section 5.2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -33,6 +29,7 @@ from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadAsArray, ReadOnlyArrays, evenly_spread, hold
 from calib.core.base.contributions import Contributions
+from calib.core.base.memoize import memoize
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.numerics import linalg
@@ -41,6 +38,7 @@ from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context, TermSection
+from calib.core.rows.common_motion import CommonMotion, target_poses
 
 CHUNK = 1024
 """Number of poses computed at once."""
@@ -145,11 +143,8 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
 def order_of_joints(q: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return an order and signs of joints that depend on poses q (n, n_actuated) alone.
 
-    So samples do not depend on the names of joints, their order in a description, and the positive direction of an
-    axis.
-
-    Returns:
-        The place of each joint in the order, and +1 or -1 for each, (n_actuated,).
+    They are the place of each joint in the order, and +1 or -1 for each, (n_actuated,). So samples do not depend on the
+    names of joints, their order in a description, and the positive direction of an axis.
     """
     off = q - q.mean(axis=0)
     first = off[np.argmax(off != 0, axis=0), np.arange(off.shape[1])]
@@ -171,11 +166,8 @@ def recombined_joints(q: FloatArray, most: int) -> FloatArray:
 def without_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray:
     """Return derivatives of positions without the motion of all of them as one body, in the shape of `rows`.
 
-    Where base and tool are placed anew, only this part of an error of the parameters is visible.
-
-    Args:
-        positions: Positions, (n, n_targets, 3) [m].
-        rows: Their derivatives, (..., n_parameters), three rows for each position.
+    Where base and tool are placed anew, only this part of an error of the parameters is visible. Positions are
+    (n, n_targets, 3) [m], derivatives (..., n_parameters), three rows for each position.
     """
     points = positions.reshape(-1, 3)
     turns = np.cross(np.eye(3), (points - points.mean(axis=0))[:, None]).swapaxes(1, 2)
@@ -210,14 +202,9 @@ def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | 
 
 
 def root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
-    """Return 95 % limits of the root of a sum of squares of normal numbers, (2, ...).
+    """Return 95 % limits of the root of a sum of squares of normal numbers, (2, ...), as `length95` does.
 
-    It follows from the sums of its weights and of their squares.
-
-    Args:
-        trace: Sum of the weights, (...).
-        squares: Sum of their squares, (...).
-        coverage_factor: As in `length95`.
+    They follow from the sum of its weights (`trace`), and of their squares, (...) each.
     """
     certain = squares <= _CERTAIN * trace**2  # also where both are zero
     share = np.where(certain, 1.0, squares) / np.where(certain, 1.0, trace)
@@ -240,10 +227,6 @@ class UndecidedTerms(ReadOnlyArrays):
     terms: tuple[TermSection, ...]
     names: tuple[str, ...]
     spread: FloatArray
-
-    def with_terms(self, robot: Robot) -> Robot:
-        """Return a robot with these terms added, their coefficients zero."""
-        return robot.with_terms((*robot.description.terms, *self.terms))
 
     def sensitivity_of(self, names: Sequence[str]) -> FloatArray:
         """Return the rows of S (`spread`) of these parameters, (n, k); 0 for those that are not in `names`."""
@@ -299,22 +282,24 @@ class ParameterUncertainty(ReadOnlyArrays):
 
     def with_undecided_terms(self, robot: Robot) -> Robot:
         """Return a robot with the undecided joint terms added, their coefficients zero."""
-        return robot if self.undecided is None else self.undecided.with_terms(robot)
+        return robot if self.undecided is None else robot.with_terms((*robot.description.terms, *self.undecided.terms))
 
     def lasting_names(self, robot: Robot) -> list[str]:
         """Return the uncertain parameters of a robot with undecided terms: the free ones, then coefficients."""
         free = [p.name for p, use in zip(robot.parameters, self.free, strict=True) if use]
-        return [*free, *self._undecided_names(robot)]
+        own = {p.name for p in robot.parameters}
+        return free + [name for name in (self.undecided.names if self.undecided else ()) if name not in own]
 
     def lasting(self, robot: Robot) -> BoolArray:
         """Return a mask of the uncertain quantities that are the same at every pose, (n_uncertain,)."""
-        n_lasting = len(self.lasting_names(robot))
-        return np.arange(n_lasting + self._n_errors(robot)) < n_lasting
+        n_errors = len(robot.joint_names) if self.joint_error > 0.0 else 0
+        return np.repeat([True, False], [len(self.lasting_names(robot)), n_errors])
 
     def counting(self, robot: Robot, counts: BoolArray) -> BoolArray:
         """Extend a mask of free parameters that count, (n_free,), by all other uncertain quantities, (n_uncertain,)."""
-        return np.append(counts, np.ones(len(self._undecided_names(robot)) + self._n_errors(robot), dtype=bool))
+        return np.append(counts, np.ones(len(self.lasting(robot)) - len(counts), dtype=bool))
 
+    @memoize
     def covariance_of(self, robot: Robot) -> FloatArray:
         """Return the covariance of all uncertain quantities of a calibrated robot, (n_uncertain, n_uncertain) [SI]."""
         if self.undecided is None and self.joint_error == 0.0:
@@ -332,12 +317,8 @@ class ParameterUncertainty(ReadOnlyArrays):
     ) -> UncertaintyJacobian:
         """Linearise positions and turns of all targets by all uncertain quantities.
 
-        Args:
-            q: Commands, (n_poses, n_actuated) [m or rad].
-            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
-
-        Raises:
-            UnreachablePoseError: A loop stays open.
+        Commands are q, (n_poses, n_actuated) [m or rad]; `near` are passive joints to start from, if they are known,
+        (n_poses, n_passive) [m or rad]. A loop that stays open is an `UnreachablePoseError`.
         """
         whole = self.with_undecided_terms(robot)
         place = {p.name: k for k, p in enumerate(whole.parameters)}
@@ -350,13 +331,6 @@ class ParameterUncertainty(ReadOnlyArrays):
         hold(jacobian)
         return UncertaintyJacobian(whole, configurations, linear.positions, jacobian)
 
-    def _n_errors(self, robot: Robot) -> int:
-        return len(robot.joint_names) if self.joint_error > 0.0 else 0
-
-    def _undecided_names(self, robot: Robot) -> tuple[str, ...]:
-        has = {p.name for p in robot.parameters}
-        return () if self.undecided is None else tuple(name for name in self.undecided.names if name not in has)
-
     def predict(
         self,
         robot: Robot,
@@ -366,7 +340,7 @@ class ParameterUncertainty(ReadOnlyArrays):
         *,
         turns: bool = True,
         counts: BoolArray | None = None,
-        common: Callable[[UncertaintyJacobian], tuple[FloatArray, FloatArray]] | None = None,
+        common: tuple[CommonMotion, FloatArray] | None = None,
     ) -> PositionUncertainty:
         """Predict positions of all targets, loops closed, with the covariance of positions and orientations.
 
@@ -376,9 +350,8 @@ class ParameterUncertainty(ReadOnlyArrays):
             near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
             turns: Whether to compute the covariance of the orientations.
             counts: Mask of the uncertain quantities that count, (n_uncertain,); all if not given.
-            common: Function that returns the derivative of a common motion of positions and turns as a product, (n,
-                n_targets, 6, m) times (m, n_uncertain). The covariance leaves this motion out; `measured` has the one
-                that includes it.
+            common: A common motion z that the covariance leaves out, and its derivative by the uncertain quantities,
+                (k, n_uncertain); `measured` has the covariance that includes it.
 
         Raises:
             UnreachablePoseError: A loop stays open.
@@ -397,22 +370,22 @@ class ParameterUncertainty(ReadOnlyArrays):
             spread = (jacobian.reshape(-1, len(known)) @ known).reshape(jacobian.shape)  # C is read once
             parts = [(jacobian, spread)]
             if common is not None:
-                motion, following = common(linear)
-                motion = motion[:, :, : jacobian.shape[2]]
-                parts.append((jacobian - motion @ following, spread - motion @ (following @ known)))
+                motion, following = common
+                columns = motion.columns(*target_poses(linear.robot, linear.configurations))[:, :, : jacobian.shape[2]]
+                parts.append((jacobian - columns @ following, spread - columns @ (following @ known)))
             for to, (derivative, spread) in zip((whole, without_common), parts, strict=False):
                 for covariance, rows in zip(to, ROWS, strict=False):
                     covariance[some] = spread[:, :, rows] @ derivative[:, :, rows].swapaxes(2, 3)
         hold(points, *whole, *without_common)
-        predicted, measured = (
-            PositionUncertainty(
-                points,
-                own[0],
-                self.coverage_factor,
-                own[1] if turns else None,
-                robot.unreported_targets,
-                contains=self.contains,
-            )
-            for own in (without_common, whole)
+        measured = PositionUncertainty(
+            points,
+            whole[0],
+            self.coverage_factor,
+            whole[1] if turns else None,
+            robot.unreported_targets,
+            contains=self.contains,
         )
-        return measured if common is None else replace(predicted, measured=measured)
+        if common is None:
+            return measured
+        turned = without_common[1] if turns else None
+        return replace(measured, covariance=without_common[0], turn_covariance=turned, measured=measured)

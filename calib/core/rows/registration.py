@@ -10,6 +10,7 @@ that was moved follows from the others.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -44,8 +45,8 @@ def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) 
         DataError: Measurements that are not finite.
     """
     for setup in range(max(len(robot.description.setups), 1)):
-        for seen in _common_visits(robot, data, setup):
-            robot = _place(robot, data, seen, setup, rough_beyond)
+        for seen in _seen_targets(robot, data, setup):
+            robot = _place(robot, data, seen, rough_beyond)
     placed: list[str] = []
     for instrument in robot.instruments:
         if instrument.name in data.readings:
@@ -71,70 +72,80 @@ def registration(
         UnreachablePoseError: A pose cannot be assembled.
         DataError: No points were measured, or measurements that are not finite.
     """
-    groups = _common_visits(robot, data, 0)
+    groups = _seen_targets(robot, data, 0)
     if not groups:
         raise DataError(f"{data.path}: no points were measured, so that the measurement frame cannot be placed")
-    known = {"frame_known": frame_known, "targets_known": targets_known}
-    return _registration(robot, data, groups[0], _Frames(robot, 0), **known), groups[0][1]
+    placement = _registration(robot, data, groups[0], frame_known=frame_known, targets_known=targets_known)
+    return placement, groups[0].names
 
 
-class _Frames:
-    def __init__(self, robot: Robot, setup: int) -> None:
-        self.setup = setup
-        self.pairs: dict[str, RelativeFrame] = {}
-        for instrument in robot.instruments:
-            pairs = robot.pairs[instrument.name]
-            if isinstance(instrument, FrameInstrument) and pairs[0].a == robot.mechanism.targets[0].a:
-                later = pairs[setup * len(pairs) // max(len(robot.description.setups), 1)]
-                self.pairs.setdefault(instrument.target, later)
+@dataclass(frozen=True)
+class _SeenTargets:
+    """Targets whose points were measured together in a setup.
 
-    def base(self, robot: Robot) -> str:
-        """Return the origin of the measurement frame."""
-        return robot.mechanism.origin_names[next(iter(self.pairs.values())).a - 1]
+    Attributes:
+        names: The targets.
+        is_seen: Mask of the visits at which all of them were, (n,).
+        pairs: Measurement frame and target of each target of this setup, seen or not.
+        base: Origin of the measurement frame.
+        origins: Origin of each target.
+    """
 
-    def origin(self, robot: Robot, target: str) -> str:
-        """Return the origin of a target."""
-        return robot.mechanism.origin_names[self.pairs[target].b - 1]
+    names: tuple[str, ...]
+    is_seen: BoolArray
+    pairs: dict[str, RelativeFrame]
+    base: str
+    origins: dict[str, str]
 
 
-def _common_visits(robot: Robot, data: Measurements, setup: int) -> list[tuple[BoolArray, tuple[str, ...]]]:
-    """Visits of a setup at which points were measured, and their targets; most visits first."""
-    points = data.points(robot)
-    n_setups = max(len(robot.description.setups), 1)
+def _seen_targets(robot: Robot, data: Measurements, setup: int) -> list[_SeenTargets]:
+    """Targets of a setup whose points were measured: all together, or else each alone, most visits first."""
+    mechanism, n_setups = robot.mechanism, max(len(robot.description.setups), 1)
+    pairs: dict[str, RelativeFrame] = {}
     in_setup = np.zeros(len(data), dtype=bool)
-    for name, readings in data.readings.items():
-        instrument = robot.instrument(name)
-        if instrument.points(readings.values[:1]) is not None:
-            in_setup[readings.visits[readings.pairs * n_setups // len(robot.pairs[instrument.name]) == setup]] = True
-    seen = np.isfinite(points).all(axis=2) & in_setup[:, None]
-    if not np.any(seen):
-        return []
+    for instrument in robot.instruments:
+        all_pairs, readings = robot.pairs[instrument.name], data.readings.get(instrument.name)
+        if isinstance(instrument, FrameInstrument) and all_pairs[0].a == mechanism.targets[0].a:
+            pairs.setdefault(instrument.target, all_pairs[setup * len(all_pairs) // n_setups])
+        if readings is not None and instrument.points(readings.values[:1]) is not None:
+            in_setup[readings.visits[readings.pairs * n_setups // len(all_pairs) == setup]] = True
+    seen = np.isfinite(data.points(robot)).all(axis=2) & in_setup[:, None]
     targets = [t for t in range(seen.shape[1]) if np.any(seen[:, t])]
-    together = np.all(seen[:, targets], axis=1)
-    if np.sum(together) >= 3 or len(targets) == 1:
-        return [(together, tuple(robot.target_names[t] for t in targets))]
-    order = sorted(targets, key=lambda t: -int(np.sum(seen[:, t])))
-    return [(seen[:, t], (robot.target_names[t],)) for t in order]
+    if not targets:
+        return []
+    groups = [targets]
+    if np.sum(np.all(seen[:, targets], axis=1)) < 3:
+        groups = [[t] for t in sorted(targets, key=lambda t: -int(np.sum(seen[:, t])))]
+    base = mechanism.origin_names[next(iter(pairs.values())).a - 1]
+    origins = {name: mechanism.origin_names[pair.b - 1] for name, pair in pairs.items()}
+    return [
+        _SeenTargets(tuple(robot.target_names[t] for t in own), np.all(seen[:, own], axis=1), pairs, base, origins)
+        for own in groups
+    ]
 
 
-def _place(
-    robot: Robot, data: Measurements, seen: tuple[BoolArray, tuple[str, ...]], setup: int, rough_beyond: float
-) -> Robot:
-    frames = _Frames(robot, setup)
+def _place(robot: Robot, data: Measurements, seen: _SeenTargets, rough_beyond: float) -> Robot:
     frame_known = robot.description.base.pose == "known"
-    placement = _registration(robot, data, seen, frames, frame_known=frame_known, rough_beyond=rough_beyond)
+    placement = _registration(robot, data, seen, frame_known=frame_known, rough_beyond=rough_beyond)
     values: dict[str, float] = {}
-    for target, point in zip(seen[1], placement.points, strict=True):
+    for target, point in zip(seen.names, placement.points, strict=True):
         if robot.description.targets[target].position == "unknown":
-            values |= _name_components(frames.origin(robot, target), LENGTH_COMPONENTS, point)
+            values |= _values_at(robot, seen.origins[target], pin.SE3(np.eye(3), point), LENGTH_COMPONENTS)
     if not frame_known:
-        base = frames.base(robot)
-        T_measurement_link = placement.T_base_measurement.inverse()
-        turned = pin.log3(robot.nominal.placement(base).rotation @ T_measurement_link.rotation)
-        values |= _name_components(base, LENGTH_COMPONENTS, T_measurement_link.translation)
-        values |= _name_components(base, ANGLE_COMPONENTS, turned)
+        values |= _values_at(robot, seen.base, placement.T_base_measurement, COMPONENTS, reversed_frame=True)
     robot = _with_values(robot, values)
-    return _with_values(robot, _orientations(robot, data, seen[0], frames))
+    return _with_values(robot, _orientations(robot, data, seen))
+
+
+def _values_at(
+    robot: Robot, origin: str, pose: pin.SE3, components: tuple[str, ...], *, reversed_frame: bool = False
+) -> dict[str, float]:
+    """Values of components of an origin at a pose in its link; of a measurement frame, the link's pose in it."""
+    nominal = robot.nominal.placement(origin)
+    if reversed_frame:
+        pose, nominal = pose.inverse(), nominal.inverse()
+    numbers = np.concatenate([pose.translation, pin.log3(nominal.rotation.T @ pose.rotation)]).tolist()
+    return {f"{origin}.{name}": number for name, number in zip(COMPONENTS, numbers, strict=True) if name in components}
 
 
 def _with_values(robot: Robot, values: dict[str, float]) -> Robot:
@@ -145,26 +156,24 @@ def _with_values(robot: Robot, values: dict[str, float]) -> Robot:
 def _registration(
     robot: Robot,
     data: Measurements,
-    seen: tuple[BoolArray, tuple[str, ...]],
-    frames: _Frames,
+    seen: _SeenTargets,
     *,
     frame_known: bool,
     targets_known: bool = True,
     rough_beyond: float = np.inf,
 ) -> Placement:
-    chosen = np.flatnonzero(seen[0])
+    chosen = np.flatnonzero(seen.is_seen)
     points = data.points(robot)[chosen]
-    carriers = _carriers(robot, data, chosen, [frames.pairs[target] for target in seen[1]])
+    carriers = _carriers(robot, data, chosen, [seen.pairs[target] for target in seen.names])
     moving = [
         MovingPoint(
             poses,
             points[:, robot.target_names.index(target)],
-            *_expected_place(robot, target, frames.origin(robot, target), known=targets_known),
+            *_expected_place(robot, target, seen.origins[target], known=targets_known),
         )
-        for target, poses in zip(seen[1], carriers, strict=True)
+        for target, poses in zip(seen.names, carriers, strict=True)
     ]
-    T_base_measurement = robot.mechanism.placement(frames.base(robot))
-    ones = np.ones(len(chosen))
+    T_base_measurement, ones = robot.mechanism.placement(seen.base), np.ones(len(chosen))
     return place(moving, ones, T_base_measurement, frame_known=frame_known, rough_beyond=rough_beyond)
 
 
@@ -205,10 +214,8 @@ def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed
 
 
 def _guess_joint_numbers(robot: Robot, data: Measurements, instrument: JointInstrument) -> Robot:
-    readings, configurations = (
-        data.readings[instrument.name],
-        robot.assemble(data.joints, labels=data.labels, context=data.conditions),
-    )
+    readings = data.readings[instrument.name]
+    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
     seen = np.asarray(views_of_instruments(robot, configurations, {instrument.name: readings})[instrument.name])
     first = instrument.first_unknowns(seen, robot.values[robot.unknowns[instrument.name]], readings)
     return _with_values(robot, {p.name: float(value) for p, value in zip(instrument.unknowns, first, strict=True)})
@@ -226,20 +233,14 @@ def _with_guess(
 ) -> Robot:
     values: dict[str, float] = {}
     for name, pose in guess.places.items():
-        origin = robot.mechanism.origin(name)
-        placed = pin.SE3(pose).inverse() if name.startswith(MEASUREMENT_FRAME) else pin.SE3(pose)
-        nominal = robot.nominal.placement(origin)
-        nominal = nominal.inverse() if name.startswith(MEASUREMENT_FRAME) else nominal
-        moved = np.concatenate([placed.translation, pin.log3(nominal.rotation.T @ placed.rotation)])
-        for component, number in zip(COMPONENTS, moved, strict=True):
-            if component in unknown.get(name, ()):
-                values[f"{origin}.{component}"] = float(number)
+        origin, is_frame = robot.mechanism.origin(name), name.startswith(MEASUREMENT_FRAME)
+        values |= _values_at(robot, origin, pin.SE3(pose), unknown.get(name, ()), reversed_frame=is_frame)
     if guess.unknowns is not None:
         values |= {p.name: float(number) for p, number in zip(instrument.unknowns, guess.unknowns, strict=True)}
     return _with_values(robot, values)
 
 
-def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Frames) -> dict[str, float]:
+def _orientations(robot: Robot, data: Measurements, seen: _SeenTargets) -> dict[str, float]:
     values: dict[str, float] = {}
     for name, readings in data.readings.items():
         instrument = robot.instrument(name)
@@ -248,17 +249,12 @@ def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Fr
             continue
         if robot.description.targets[instrument.target].orientation == "known":
             continue
-        chosen = seen[readings.visits] & np.isfinite(turned).all(axis=(1, 2))
-        carriers = _carriers(robot, data, readings.visits[chosen], [frames.pairs[instrument.target]])[0][:, :3, :3]
-        base = robot.mechanism.placement(frames.base(robot)).rotation
-        mean = (
-            scipy.spatial.transform.Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen])
-            .mean()
-            .as_matrix()
-        )
-        origin = frames.origin(robot, instrument.target)
-        nominal = robot.nominal.placement(origin).rotation
-        values |= _name_components(origin, ANGLE_COMPONENTS, pin.log3(nominal.T @ mean))
+        chosen = seen.is_seen[readings.visits] & np.isfinite(turned).all(axis=(1, 2))
+        carriers = _carriers(robot, data, readings.visits[chosen], [seen.pairs[instrument.target]])[0][:, :3, :3]
+        base = robot.mechanism.placement(seen.base).rotation
+        turns = scipy.spatial.transform.Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen])
+        mean = pin.SE3(turns.mean().as_matrix(), np.zeros(3))
+        values |= _values_at(robot, seen.origins[instrument.target], mean, ANGLE_COMPONENTS)
     return values
 
 
@@ -283,7 +279,3 @@ def _carriers(robot: Robot, data: Measurements, chosen: IntArray, looked: list[R
     labels = [data.labels[k] for k in chosen]
     configurations = robot.assemble(data.joints[chosen], None, labels, data.conditions.select(chosen))
     return list(relative_poses(mechanism, configurations, pairs))
-
-
-def _name_components(origin: str, components: tuple[str, ...], numbers: FloatArray) -> dict[str, float]:
-    return {f"{origin}.{component}": float(number) for component, number in zip(components, numbers, strict=True)}

@@ -30,12 +30,7 @@ from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
-from calib.core.rows.observed import (
-    observe,
-    planned_readings,
-    predict_readings,
-    touches_without_target,
-)
+from calib.core.rows.observed import observe, planned_readings, predict_readings, touches_without_target
 from calib.core.rows.whitening import stated_noise
 
 _LONGEST_STEP = 0.2  # step of a joint [rad, or characteristic lengths]
@@ -92,12 +87,10 @@ def simulate(
     configurations = _assemble(robot, poses, commands, off)  # an error names the pose that fails
     readings = dict[str, Readings]()
     for name, predicted in predict_readings(robot, configurations, looks).items():
-        instrument = robot.instrument(name)
         if name not in touches:
-            readings[name] = _noisy(instrument, predicted, sigma, rng)
+            readings[name] = _noisy(robot.instrument(name), predicted, sigma, rng)
         elif len(predicted):
-            zeros = np.zeros((len(predicted), instrument.n_rows))
-            readings[name] = Readings(predicted.visits, predicted.pairs, zeros, None, predicted.details)
+            readings[name] = replace(touches[name], values=np.zeros_like(touches[name].values))
     comments = (f"simulated measurements of {robot.name}", _noise_in_words(robot, sigma))
     return replace(measurements(poses, readings), joints=commands, comments=comments, planned={})
 
@@ -105,13 +98,9 @@ def simulate(
 def noisy_readings(
     robot: Robot, exact: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
 ) -> dict[str, Readings]:
-    """Return readings with normal noise, without those that see nothing.
+    """Return readings `exact` with the normal noise that the robot's instruments state, or `sigma` (see `simulate`).
 
-    Args:
-        robot: The robot, whose instruments state their noise.
-        exact: Readings without noise; no touches, whose noise is in the joints.
-        sigma: As in `simulate`.
-        rng: Source of the noise.
+    Those that see nothing are left out. Noise of gaps is the distance by which touches miss.
     """
     return {name: _noisy(robot.instrument(name), readings, sigma, rng) for name, readings in exact.items()}
 
@@ -144,12 +133,14 @@ def _touches(
             f"{poses.path}: no column says what instrument '{without_target.name}' touches; add a column"
             f" '{without_target.text_columns()[0]}' that names it at each pose (empty: it touches nothing there)"
         )
-    result = {}
-    for instrument in (instrument for instrument in robot.instruments if instrument.touches):
-        look = looks[instrument.name]
-        exact = Readings(look.visits, look.pairs, np.zeros((len(look), instrument.n_rows)), None, look.details)
-        result[instrument.name] = _noisy(instrument, exact, sigma, rng)
-    return result
+    exact = {
+        instrument.name: replace(
+            looks[instrument.name], values=np.zeros((len(looks[instrument.name]), instrument.n_rows))
+        )
+        for instrument in robot.instruments
+        if instrument.touches
+    }
+    return noisy_readings(robot, exact, sigma, rng)
 
 
 def touching_configurations(
@@ -166,8 +157,9 @@ def touching_configurations(
         Commands, (n, n_actuated) [m or rad]; distance of each from contact, (n,) [m], less than `MET` where it touches.
     """
     errors = np.zeros_like(poses.joints) if off is None else off
-    (lower, upper), follows = _limits(robot, poses), _follows(poses, touches)
-    scale, commands = robot.mechanism.joint_scale, poses.joints
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    lower, upper = np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
+    scale, commands, follows = robot.mechanism.joint_scale, poses.joints.copy(), _follows(poses, touches)
     everyone, given_up = np.arange(len(poses)), np.zeros(len(poses), dtype=bool)
     for _ in range(_ROUNDS):  # because a moved visit can change the direction of approach to the next one
         gaps, slopes = _gaps(robot, poses, commands, errors, touches, everyone)
@@ -187,7 +179,7 @@ def touching_configurations(
             better = left < miss[active]
             gained = active[better]
             stuck = better & (left > _NEARLY) & (left > (1 - _LEAST_GAIN) * miss[active])
-            commands = np.where(np.isin(everyone, gained)[:, None], trial, commands)
+            commands[gained] = trial[gained]
             gaps[gained], slopes[gained], miss[gained] = trial_gaps[better], trial_slopes[better], left[better]
             damping[active] = np.where(better, np.maximum(damping[active] / 10, _SMALLEST_DAMPING), damping[active] * 8)
             active = active[~stuck & (miss[active] >= MET) & (damping[active] < _LARGEST_DAMPING)]
@@ -214,17 +206,10 @@ def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held
     # Singular values, not J^T J: with little damping, its rounding errors would move joints that change no gap.
     left, values, right = linalg.svd(free, full_matrices=False)
     gradient = np.matmul(left.transpose(0, 2, 1), gaps[:, :, None])[:, :, 0]
-    step: FloatArray = -np.matmul((gradient * values / (values**2 + (damping * size)[:, None]))[:, None, :], right)[
-        :, 0
-    ]
+    along = gradient * values / (values**2 + (damping * size)[:, None])
+    step: FloatArray = -np.matmul(along[:, None, :], right)[:, 0]
     longest = np.max(np.abs(step), axis=1, keepdims=True)
     return step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
-
-
-def _limits(robot: Robot, poses: Poses) -> tuple[FloatArray, FloatArray]:
-    """Limits of the joints, (n, n_actuated) each: those of the URDF, extended to these poses."""
-    lower, upper = robot.urdf.limits(robot.joint_names)
-    return np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
 
 
 def _follows(poses: Poses, touches: Mapping[str, Readings]) -> IntArray:
@@ -238,17 +223,11 @@ def _follows(poses: Poses, touches: Mapping[str, Readings]) -> IntArray:
 
 
 def _gaps(
-    robot: Robot,
-    poses: Poses,
-    commands: FloatArray,
-    off: FloatArray,
-    touches: Mapping[str, Readings],
-    index: IntArray,
+    robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray, touches: Mapping[str, Readings], index: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Gaps of some visits beyond the drawn miss, and their derivative by the actuated joints.
+    """Gaps of some visits beyond the drawn miss, (n, n_gaps) [m], and by the actuated joints, (n, n_gaps, n_actuated).
 
-    Returns:
-        (n, n_gaps) [m], 0 where fewer, infinite where the robot cannot be assembled; (n, n_gaps, n_actuated).
+    They are 0 where an instrument has fewer, and infinite where the robot cannot be assembled.
     """
     context = _context(poses, commands)
     columns = tuple(part[index] for part in term_columns(robot, commands + off, context))

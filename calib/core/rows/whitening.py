@@ -9,7 +9,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.units import Dimension
 from calib.core.data.measurements import Measurements
-from calib.core.instruments.kind import Instrument, Part, Readings
+from calib.core.instruments.kind import Instrument, Readings
 from calib.core.instruments.noise import Noise, PartNoise
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed
@@ -37,32 +37,32 @@ class Whitening:
         self._names = tuple(instrument.name for instrument in robot.instruments if instrument.name in data.readings)
         self._inverse: dict[str, FloatArray] = {}
         groups: dict[tuple[str, str, bool], Group] = {}
-        numbers: list[IntArray] = []
-        widths: list[IntArray] = []
-        noises = {name: stated_noise(robot.instrument(name), sigma) for name in self._names}
-        for name, noise in noises.items():
+        numbers: dict[str, IntArray] = {}
+        for name in self._names:
             instrument, readings = robot.instrument(name), data.readings[name]
-            stated = readings.covariance
-            covariance = instrument.covariance(readings.values, noise) if stated is None else stated
+            noise, covariance = stated_noise(instrument, sigma), readings.covariance
+            if covariance is None:
+                covariance = instrument.covariance(readings.values, noise)
+            variances, part_of_row = np.diagonal(covariance, axis1=1, axis2=2), np.array(instrument.part_of_row)
+            group_of_part = []
+            for k, part in enumerate(instrument.parts):
+                stated = readings.covariance is not None or noise.parts[k].stated
+                typical = float(np.sqrt(np.median(variances[:, part_of_row == k]))) if len(variances) else 1.0
+                key = (instrument.group, part.name, stated)
+                groups.setdefault(key, Group(instrument.group, part, stated, typical))
+                group_of_part.append(list(groups).index(key))
             absent = _absent(instrument, readings)
-            number = np.array(
-                [_group(groups, instrument, noise, readings, covariance, part) for part in instrument.parts]
-            )
-            numbers.append(np.where(absent, -1, number[list(instrument.part_of_row)]).ravel())
-            widths.append(np.sum(~absent, axis=1))
+            numbers[name] = np.where(absent, -1, np.array(group_of_part)[part_of_row])
             self._inverse[name] = _inverse_roots(covariance, absent)
         self.groups = tuple(groups.values())
         self.is_unstated = np.array([not group.stated for group in self.groups], dtype=bool)
-        self.layout = _layout(robot, data, self._names, numbers, widths, self.groups)
+        self.layout = _layout(data, numbers, self.groups)
 
     def flatten(self, arrays: Mapping[str, FloatArray], out: FloatArray | None = None) -> FloatArray:
         """Whiten arrays by instrument, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
-        Args:
-            out: Array for the result, if there is one; the arrays may stand at their places in it, `readings_in`.
-
-        Returns:
-            (n_all_rows,) or (n_all_rows, k).
+        The result is (n_all_rows,) or (n_all_rows, k), in `out` if that is given, in which the arrays may stand at
+        their places, `readings_in`.
         """
         rows = np.empty((self.layout.n_rows, *arrays[self._names[0]].shape[2:])) if out is None else out
         for name in self._names:
@@ -106,18 +106,11 @@ class Whitening:
         return np.where(number >= 0, groups[number], 1.0)
 
     def rows(
-        self,
-        observed: Mapping[str, Observed],
-        groups: FloatArray,
-        unknowns: Unknowns,
-        values: FloatArray,
+        self, observed: Mapping[str, Observed], groups: FloatArray, unknowns: Unknowns, values: FloatArray
     ) -> Rows:
-        """Return the whitened rows.
+        """Return the whitened rows of what was observed at `values` of all parameters, (n_parameters,) [m or rad].
 
-        Args:
-            observed: Observed rows of each instrument, by name.
-            groups: Scale of the noise of each group, (n_groups,).
-            values: Values of all parameters at which they were observed, (n_parameters,) [m or rad].
+        `observed` has the rows of each instrument, and `groups` the scale of the noise of each group, (n_groups,).
         """
         residuals = self.whiten({name: observed[name].residuals for name in self._names}, groups)
         deviations = unknowns.deviations(values)
@@ -159,31 +152,10 @@ def stated_noise(instrument: Instrument, sigma: float | None) -> Noise:
 
 
 def _absent(instrument: Instrument, readings: Readings) -> BoolArray:
-    nothing: BoolArray = np.isnan(readings.values)
-    if not nothing.any():
-        return np.zeros((len(readings), instrument.n_rows), dtype=bool)
-    if nothing.shape[1] == instrument.n_rows:
-        return nothing
-    whole: BoolArray = np.any(nothing, axis=1, keepdims=True)
-    return np.broadcast_to(whole, (len(readings), instrument.n_rows))
-
-
-def _group(
-    groups: dict[tuple[str, str, bool], Group],
-    instrument: Instrument,
-    noise: Noise,
-    readings: Readings,
-    covariance: FloatArray,
-    part: Part,
-) -> int:
-    index = instrument.parts.index(part)
-    stated = readings.covariance is not None or noise.parts[index].stated
-    key = (instrument.group, part.name, stated)
-    if key not in groups:
-        rows = [k for k, number in enumerate(instrument.part_of_row) if number == index]
-        typical = float(np.sqrt(np.median(covariance[:, rows, rows]))) if len(covariance) else 1.0
-        groups[key] = Group(instrument.group, part, stated, typical)
-    return list(groups).index(key)
+    absent: BoolArray = np.isnan(readings.values)
+    if absent.shape[1] != instrument.n_rows:
+        absent = np.any(absent, axis=1, keepdims=True)
+    return np.broadcast_to(absent, (len(readings), instrument.n_rows))
 
 
 def _inverse_roots(covariance: FloatArray, absent: BoolArray) -> FloatArray:
@@ -201,27 +173,21 @@ def _inverse_roots(covariance: FloatArray, absent: BoolArray) -> FloatArray:
     return np.where(absent[:, :, None], 0.0, np.linalg.solve(np.linalg.cholesky(covariance), identity))
 
 
-def _layout(
-    robot: Robot,
-    data: Measurements,
-    names: tuple[str, ...],
-    numbers: list[IntArray],
-    widths: list[IntArray],
-    groups: tuple[Group, ...],
-) -> Layout:
-    counts = np.array([len(data.readings[name]) for name in names], dtype=np.intp)
-    per_reading = np.array([robot.instrument(name).n_rows for name in names], dtype=np.intp)
-    visit = np.concatenate([data.readings[name].visits for name in names])
-    group = np.concatenate(numbers)
+def _layout(data: Measurements, numbers: Mapping[str, IntArray], groups: tuple[Group, ...]) -> Layout:
+    """The order of rows, by the group of each row of each instrument, (n, n_rows); -1: it was not read."""
+    of_instruments = list(numbers.values())
+    visit = np.concatenate([data.readings[name].visits for name in numbers])
+    group = np.concatenate([number.ravel() for number in of_instruments])
+    n_rows = np.concatenate([np.full(len(number), number.shape[1]) for number in of_instruments])
     return Layout(
         group,
         np.bincount(group[group >= 0], minlength=len(groups)),
-        names,
-        np.concatenate([[0], np.cumsum(counts)]),
-        np.concatenate([[0], np.cumsum(counts * per_reading)]),
-        np.repeat(np.arange(int(counts.sum())), np.repeat(per_reading, counts)),
+        tuple(numbers),
+        np.cumsum([0, *map(len, of_instruments)]),
+        np.cumsum([0, *(number.size for number in of_instruments)]),
+        np.repeat(np.arange(len(visit)), n_rows),
         visit,
         data.pose_numbers[visit],
-        np.concatenate(widths),
+        np.concatenate([np.sum(number >= 0, axis=1) for number in of_instruments]),
         groups,
     )

@@ -100,7 +100,8 @@ def steps_of(name: str, act: Callable[[], None], exchange: bool, every: int, fir
     while True:
         number += every
         with tempfile.TemporaryDirectory() as here:
-            out, write, old, new = _PIECES[name](Path(here))
+            out = Path(here) / "out"
+            write, old, new = _piece(name, out)
 
             def work(number: int = number, write: Callable[[], None] = write) -> None:
                 if not exchange:
@@ -123,25 +124,20 @@ def steps_of(name: str, act: Callable[[], None], exchange: bool, every: int, fir
                 return counts
 
 
-def _new_folder(here: Path) -> tuple[Path, Callable[[], None], dict[str, bytes], dict[str, bytes]]:
-    out = here / "out"
-    return out, lambda: calib.core.base.files.write_folder(out, NEW, OBSOLETE), {}, NEW
+_PIECES = ("a new folder", "a folder in place of another", "a file")
 
 
-def _replaced_folder(here: Path) -> tuple[Path, Callable[[], None], dict[str, bytes], dict[str, bytes]]:
-    out = here / "out"
-    calib.core.base.files.write_folder(out, OLD)
-    put(out, MINE)
-    return out, lambda: calib.core.base.files.write_folder(out, NEW, OBSOLETE), OLD | MINE, NEW | MINE
-
-
-def _replaced_file(here: Path) -> tuple[Path, Callable[[], None], dict[str, bytes], dict[str, bytes]]:
-    old, new = {"a.csv": signed(b"old")}, {"a.csv": signed(b"new")}
-    put(here / "out", old)
-    return here / "out", lambda: calib.core.base.files.write_file(here / "out" / "a.csv", b"new"), old, new
-
-
-_PIECES = {"a new folder": _new_folder, "a folder in place of another": _replaced_folder, "a file": _replaced_file}
+def _piece(name: str, out: Path) -> tuple[Callable[[], None], dict[str, bytes], dict[str, bytes]]:
+    """Prepare a piece of writing; return what writes it, and what is there before and after."""
+    if name == "a file":
+        old, new = {"a.csv": signed(b"old")}, {"a.csv": signed(b"new")}
+        put(out, old)
+        return lambda: calib.core.base.files.write_file(out / "a.csv", b"new"), old, new
+    old, mine = (OLD, MINE) if "place" in name else ({}, {})
+    if old:
+        calib.core.base.files.write_folder(out, old)
+        put(out, mine)
+    return lambda: calib.core.base.files.write_folder(out, NEW, OBSOLETE), old | mine, NEW | mine
 
 
 def steps(every: int) -> dict[str, Counter[str]]:

@@ -10,6 +10,7 @@ many seconds (hung), or ended otherwise (lost), and ends with 1 if any did not c
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
 import random
 import select
@@ -19,8 +20,6 @@ import sys
 import time
 from collections import Counter
 from contextlib import suppress
-
-import psutil
 
 from calib.core.base.workers import Workers, results_in_order
 from tests.project import ROOT
@@ -38,31 +37,18 @@ def result_of(number: int) -> bytes:
 
 
 def program() -> None:
-    """Share work until standard input ends, then once more; say when the processes work, and when all was right."""
+    """Share work until standard input ends, then once more; print the processes that work, and when all was right."""
     with Workers(2) as executor:
-        last, began = False, False
+        last, workers = False, ""
         while not last:
             last = bool(select.select([sys.stdin], [], [], 0)[0])
             for number, result in enumerate(results_in_order(result_of, range(_PIECES), executor)):
                 if result != result_of(number):
                     sys.exit(f"result {number} is wrong")
-                if not began:
-                    print("working", flush=True)
-                began = True
+                if not workers:
+                    workers = " ".join(str(process.pid) for process in multiprocessing.active_children())
+                    print(workers, flush=True)
     print("complete", flush=True)
-
-
-def workers_of(process: int) -> list[psutil.Process]:
-    """The two processes that work for a program; fewer if they do not appear in time."""
-    until, workers = time.monotonic() + _START, list[psutil.Process]()
-    while len(workers) < 2 and time.monotonic() < until:
-        time.sleep(0.05)
-        workers = [
-            process
-            for process in psutil.Process(process).children()
-            if "resource_tracker" not in " ".join(process.cmdline())
-        ]
-    return workers
 
 
 def outcome(chance: random.Random, within: float) -> str:
@@ -75,12 +61,12 @@ def outcome(chance: random.Random, within: float) -> str:
     assert started.stdin
     assert started.stdout
     try:
-        ready = select.select([started.stdout], [], [], _START)[0] and started.stdout.readline() == b"working\n"
-        workers = workers_of(started.pid) if ready else []
+        ready = select.select([started.stdout], [], [], _START)[0]
+        workers = sorted(map(int, started.stdout.readline().split())) if ready else []
         if len(workers) != 2:
             return "did not start"
         time.sleep(chance.uniform(0, _MOMENTS))
-        chance.choice(sorted(workers, key=lambda worker: worker.pid)).kill()
+        os.kill(chance.choice(workers), signal.SIGKILL)
         said, _ = started.communicate(timeout=within)  # which closes its standard input
         return "complete" if started.returncode == 0 and said.endswith(b"complete\n") else "lost"
     except subprocess.TimeoutExpired:

@@ -40,12 +40,17 @@ def refusal(function, *arguments):
     return message
 
 
-def test_a_file_is_written_and_replaced_as_a_whole(tmp_path):
-    path = tmp_path / "out.csv"
-    write_file(path, "one é\n")
-    assert tree(tmp_path) == {"out.csv": "one é".encode()}
-    write_file(path, b"two")
-    assert tree(tmp_path) == {"out.csv": b"two"}
+def test_a_file_is_written_and_replaced_as_a_whole_and_a_symbolic_link_stays_one(tmp_path):
+    (tmp_path / "folder").mkdir()
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "folder" / "real")
+    for path, folder, name in ((tmp_path / "here" / "out.csv", "here", "out.csv"), (link, "folder", "real")):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        write_file(path, "one é\n")
+        assert tree(tmp_path / folder) == {name: "one é".encode()}
+        write_file(path, b"two")
+        assert tree(tmp_path / folder) == {name: b"two"}
+    assert link.is_symlink()
 
 
 def test_a_new_file_has_ordinary_permissions_and_an_old_one_keeps_its_own(tmp_path):
@@ -58,16 +63,6 @@ def test_a_new_file_has_ordinary_permissions_and_an_old_one_keeps_its_own(tmp_pa
     (tmp_path / "new").chmod(0o600)
     write_file(tmp_path / "new", "again")
     assert (tmp_path / "new").stat().st_mode & 0o777 == 0o600
-
-
-def test_a_symbolic_link_stays_one(tmp_path):
-    (tmp_path / "folder").mkdir()
-    link = tmp_path / "link"
-    link.symlink_to(tmp_path / "folder" / "real")
-    write_file(link, "first")
-    write_file(link, "second")
-    assert link.is_symlink()
-    assert tree(tmp_path / "folder") == {"real": b"second"}
 
 
 def test_files_and_folders_are_refused_where_even_root_cannot_write_them(tmp_path):
@@ -117,28 +112,22 @@ def test_checking_creates_nothing(tmp_path):
     assert tree(tmp_path) == {}
 
 
-def test_a_folder_is_written_with_its_parents(tmp_path):
-    write_folder(tmp_path / "a" / "b", RESULT)
-    assert {name: (tmp_path / "a" / "b" / name).read_bytes() for name in RESULT} == RESULT
-    assert os.listdir(tmp_path / "a") == ["b"]  # noqa: PTH208
-
-
-def test_a_folder_is_replaced_and_other_files_in_it_stay(tmp_path):
-    out = tmp_path / "out"
-    (out / "notes").mkdir(parents=True)
+def test_a_folder_is_written_with_its_parents_and_replaced_and_other_files_in_it_stay(tmp_path):
+    out = tmp_path / "a" / "out"
+    write_folder(out, {"result.json": b"old", "calibrated.urdf": b"of an earlier result"})
+    (out / "notes").mkdir()
     (out / "notes" / "mine.txt").write_text("keep")
     (out / "link").symlink_to("notes/mine.txt")
-    write_folder(out, {"result.json": b"old", "calibrated.urdf": b"of an earlier result"})
     inode = (out / "notes" / "mine.txt").stat().st_ino
     out.chmod(0o750)
     write_folder(out, RESULT, obsolete=("calibrated.urdf", "never there"))
-    assert (out / "result.json").read_bytes() == b"{}"
+    assert {name: (out / name).read_bytes() for name in RESULT} == RESULT
     assert not (out / "calibrated.urdf").exists()
     assert (out / "notes" / "mine.txt").read_text() == "keep"
     assert (out / "notes" / "mine.txt").stat().st_ino == inode  # moved, not copied
     assert (out / "link").is_symlink()
     assert out.stat().st_mode & 0o777 == 0o750
-    assert os.listdir(tmp_path) == ["out"]  # noqa: PTH208
+    assert os.listdir(tmp_path / "a") == ["out"]  # noqa: PTH208
 
 
 def test_the_current_folder_and_its_parents_are_not_exchanged(tmp_path, monkeypatch):

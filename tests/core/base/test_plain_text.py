@@ -1,7 +1,7 @@
 import pytest
 from rich.table import Table
 
-from calib.core.base.words import count_noun, distinct_names, listing, plain_text
+from calib.core.base.words import distinct_names, plain_text
 
 
 def test_brackets_and_colons_are_no_markup():
@@ -13,21 +13,10 @@ def test_brackets_and_colons_are_no_markup():
         assert words in text
 
 
-def test_lines_are_broken_only_if_asked_for():
-    line = " ".join(["word"] * 20)
-    assert plain_text([line], width=40) == line + "\n"
-    assert max(map(len, plain_text([line], width=40, wrap=True).splitlines())) <= 40
-
-
-def test_numbers_have_the_right_noun():
-    assert count_noun(0, "pose") == "0 poses"
-    assert count_noun(1, "other minimum explains", "other minima explain") == "1 other minimum explains"
-    assert count_noun(2, "other minimum explains", "other minima explain") == "2 other minima explain"
-
-
-def test_long_lists_are_cut():
-    assert listing(["a", "b"], "; ") == "a; b"
-    assert listing(list("abcdefg")) == "a, b, c, d, e, and 2 more"
+def test_lines_are_broken_only_if_asked_for_and_go_on_two_places_further_in():
+    lines = ["  CHECK: one two three", "a\nb"]
+    assert plain_text(lines, 16) == "  CHECK: one two three\na\nb\n"
+    assert plain_text(lines, 16, wrap=True) == "  CHECK: one two\n    three\na\nb\n"
 
 
 @pytest.mark.parametrize(
@@ -44,8 +33,3 @@ def test_long_lists_are_cut():
 )
 def test_folders_are_named_by_what_differs(paths, names):
     assert distinct_names(paths) == names
-
-
-def test_a_line_that_is_broken_goes_on_two_places_further_in():
-    text = plain_text(["  CHECK: one two three", "a\nb"], 16, wrap=True)
-    assert text == "  CHECK: one two\n    three\na\nb\n"

@@ -10,7 +10,6 @@ from calib.core.base.units import (
     ERROR_UNIT,
     from_unit,
     in_unit,
-    per_si,
     quantity,
     quantity_text,
     split_column,
@@ -22,10 +21,12 @@ from calib.core.base.units import (
     [
         ("178 mm", "length", 0.178),  # exactly the float nearest to 0.178: the reason why the table holds units per SI
         ("40um", "length", 40e-6),
+        ("40 \N{MICRO SIGN}m", "length", 40e-6),
+        ("40 \N{GREEK SMALL LETTER MU}m", "length", 40e-6),
+        ("180 °", "angle", math.pi),
         ("-1.5e-3 m", "length", -1.5e-3),
         ("0.25", "length", 0.25),
         (3, "length", 3.0),
-        (0.1, "angle", 0.1),
         ("180 deg", "angle", math.pi),
         ("+90. deg", "angle", math.pi / 2),
         (".5 mrad", "angle", 0.5e-3),
@@ -40,9 +41,6 @@ def test_a_quantity_is_read_exactly_in_si(text, dimension, expected):
     ("value", "unit", "expected"),
     [
         (0.178, "mm", 178.0),
-        (40e-6, "um", 40.0),
-        (math.pi, "deg", 180.0),
-        (0.5e-3, "mrad", 0.5),
         (math.pi / 180, "arcsec", 3600.0),
         (7200.0, DISPLAY_UNIT["time"], 7200.0),
         (0.25, ERROR_UNIT["angle"], 250.0),
@@ -55,22 +53,12 @@ def test_a_value_is_shown_in_the_unit_that_is_named(value, unit, expected):
 
 
 @pytest.mark.parametrize(
-    ("sign", "dimension", "name"),
-    [("°", "angle", "deg"), ("\N{MICRO SIGN}m", "length", "um"), ("\N{GREEK SMALL LETTER MU}m", "length", "um")],
-)
-def test_signs_of_units_mean_what_their_names_do(sign, dimension, name):
-    assert per_si(sign, dimension, "here") == per_si(name, dimension, "here")
-    assert quantity(f"2 {sign}", dimension, "here") == quantity(f"2 {name}", dimension, "here")
-
-
-@pytest.mark.parametrize(
     ("value", "dimension", "message"),
     [
         ("1 deg", "length", "here: unit 'deg' is for an angle; a length is expected (m, mm, um)"),
         ("1 mm", "angle", "here: unit 'mm' is for a length; an angle is expected (rad, deg, mrad, urad, arcsec)"),
         ("1 inch", "length", "here: unknown unit 'inch'; valid: m, mm, um"),
         ("1 degs", "angle", "here: unknown unit 'degs'; did you mean 'deg'?"),
-        ("1 MM", "length", "here: unknown unit 'MM'; did you mean 'mm'?"),
     ],
 )
 def test_a_wrong_unit_is_an_error_with_the_valid_ones(value, dimension, message):
@@ -88,27 +76,19 @@ def test_what_is_no_finite_number_is_an_error(value):
         quantity(value, "length", "here")
 
 
-def test_no_unit_means_si():
-    assert per_si(None, "length", "here") == 1.0
-    assert per_si("", "angle", "here") == 1.0
-
-
 @pytest.mark.parametrize(
     ("header", "expected"),
     [
         ("q1", ("q1", None)),
-        (" tool_x  [mm] ", ("tool_x", "mm")),
+        (" tool_x  [ mm ] ", ("tool_x", "mm")),
         ("q2[deg]", ("q2", "deg")),
-        ("q2 [ deg ]", ("q2", "deg")),
         ("q2 []", ("q2", "")),
         ("joint[1] [rad]", ("joint[1]", "rad")),
         ("q[0]", ("q[0]", None)),
-        ("J1/deg", ("J1", "deg")),
         ("X / mm", ("X", "mm")),
         ("J1/°", ("J1", "°")),
         ("speed m/s", ("speed m/s", None)),
         ("/arm/mm", ("/arm/mm", None)),
-        ("left arm q", ("left arm q", None)),
         ("q2 [deg", ("q2 [deg", None)),
         ("", ("", None)),
     ],

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -135,23 +136,37 @@ def unreadable(_: int) -> Unreadable:
     return Unreadable()
 
 
+class Shared:
+    """What all pieces of work share; counts how often it is sent."""
+
+    sent = 0
+
+    def __init__(self, factor: int) -> None:
+        self.factor = factor
+
+    def __reduce__(self):
+        Shared.sent += 1
+        return Shared, (self.factor,)
+
+    def __call__(self, item: int) -> int:
+        return self.factor * item
+
+
 def test_results_come_in_the_order_of_the_items() -> None:
     items = [-3, 1, -2, 5]
-    assert list(results_in_order(abs, items, None)) == [3, 1, 2, 5]
-    with Workers(1) as executor:
-        assert executor is None
-    with Workers(2) as executor:
-        assert list(results_in_order(abs, items, executor)) == [3, 1, 2, 5]
-    with ThreadPoolExecutor(2) as threads:
-        assert list(results_in_order(abs, items, threads)) == [3, 1, 2, 5]
+    for executor in (None, 1, 2, ThreadPoolExecutor(2)):
+        with Workers(executor) as workers:
+            assert list(results_in_order(abs, items, workers)) == [3, 1, 2, 5]
 
 
 def test_there_are_no_more_processes_than_pieces_of_work() -> None:
-    with Workers(8, pieces=1) as executor:
-        assert executor is None
+    for jobs, pieces in ((8, 1), (1, None)):
+        with Workers(jobs, pieces=pieces) as executor:
+            assert executor is None
     with Workers(8, pieces=2) as executor:
-        list(results_in_order(abs, [-1, -2, -3], executor))
+        assert next(results_in_order(abs, [-1, -2, -3, -4], executor)) == 1
         assert len(multiprocessing.active_children()) == 2
+        assert list(results_in_order(abs, [-5, -6, -7], executor)) == [5, 6, 7]  # without those left half-way
     with ThreadPoolExecutor(1) as threads, Workers(threads, pieces=0) as executor:
         assert executor is threads
 
@@ -188,27 +203,29 @@ def test_work_that_is_lost_again_and_again_is_an_error() -> None:
         list(results_in_order(abs, [1], Forgetful([1, 1, 1])))
 
 
-@pytest.mark.quick(0)
-@pytest.mark.parametrize("moment", ["at once", "half way"])
-def test_processes_that_die_are_replaced(tmp_path: Path, moment: str) -> None:
-    with Workers(2) as executor:
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(("broken", "moment"), [(True, "at once"), (False, "at once"), (False, "half way")])
+def test_processes_that_die_are_replaced_and_where_an_executor_breaks_the_rest_is_done_here(
+    tmp_path: Path, broken: bool, moment: str
+) -> None:
+    with Workers(ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) if broken else 2) as executor:
         answers = list(results_in_order(dies_once, [(str(tmp_path), moment, k) for k in range(6)], executor))
         assert answers == [bytes([k] * 1000) for k in range(6)]
         assert list(results_in_order(abs, [-1], executor)) == [1]
 
 
 def test_work_or_an_answer_that_cannot_be_read_is_an_error_and_waits_for_nothing() -> None:
+    """A process that could not read a function does not use the one before."""
     with Workers(2) as executor:
-        for function, items in ((unreadable, [1, 2, 3]), (str, [Unreadable()] * 3)):
+        assert list(results_in_order(Shared(3), range(6), executor)) == [0, 3, 6, 9, 12, 15]
+        for function, items in (
+            (unreadable, [1, 2, 3]),
+            (str, [Unreadable()] * 3),
+            (partial(max, Unreadable()), [1, 2, 3]),
+        ):
             with pytest.raises(ComputationError, match=r"ended 3 times.*no number"):
                 list(results_in_order(function, items, executor))
-        assert list(results_in_order(abs, [-1], executor)) == [1]
-
-
-def test_where_an_executor_breaks_with_its_worker_the_rest_is_done_here(tmp_path: Path) -> None:
-    tasks = [(str(tmp_path), "at once", k) for k in range(6)]
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
-        assert list(results_in_order(dies_once, tasks, executor)) == [bytes([k] * 1000) for k in range(6)]
+        assert list(results_in_order(Shared(5), range(6), executor)) == [0, 5, 10, 15, 20, 25]
 
 
 def test_an_error_in_the_work_reaches_the_caller_and_signals_are_as_before() -> None:
@@ -241,12 +258,6 @@ def test_ctrl_c_ends_program_and_processes_at_any_moment(tmp_path: Path, amount:
             assert ended(output)
 
 
-def test_work_that_was_left_half_way_does_not_mix_with_the_next() -> None:
-    with Workers(2) as executor:
-        assert next(results_in_order(abs, [-1, -2, -3, -4], executor)) == 1
-        assert list(results_in_order(abs, [-5, -6, -7, -8], executor)) == [5, 6, 7, 8]
-
-
 def test_what_cannot_be_sent_is_an_error_and_waits_for_nothing() -> None:
     with Workers(2) as executor, pytest.raises(ComputationError, match=r"ended 3 times.*pickle"):
         list(results_in_order(threading.Thread.join, [threading.current_thread()], executor))
@@ -270,40 +281,10 @@ def test_a_hang_up_that_is_ignored_stays_ignored(tmp_path: Path) -> None:
         assert ended(output)
 
 
-class Shared:
-    """What all pieces of work share; counts how often it is sent. `unreadable` ones cannot be read by a process."""
-
-    sent = 0
-
-    def __init__(self, factor: int, unreadable: bool = False) -> None:
-        self.factor, self.unreadable = factor, unreadable
-
-    def __reduce__(self):
-        Shared.sent += 1
-        return (_unread if self.unreadable else Shared), (self.factor,)
-
-    def __call__(self, item: int) -> int:
-        return self.factor * item
-
-
-def _unread(factor: int) -> None:
-    raise ImportError("not here")
-
-
 @pytest.mark.quick(0)
 def test_each_process_gets_what_the_work_shares_once(monkeypatch):
     monkeypatch.setattr(Shared, "sent", 0)
     with Workers(2) as executor:
-        assert list(results_in_order(Shared(3), range(50), executor)) == [3 * k for k in range(50)]
-        assert Shared.sent == 2
-        assert list(results_in_order(Shared(5), range(50), executor)) == [5 * k for k in range(50)]
-        assert Shared.sent == 4
-
-
-@pytest.mark.quick(0)
-def test_a_process_that_could_not_read_a_function_does_not_use_the_one_before():
-    with Workers(2) as executor:
-        assert list(results_in_order(Shared(3), range(6), executor)) == [0, 3, 6, 9, 12, 15]
-        with pytest.raises(ComputationError, match="not here"):
-            list(results_in_order(Shared(7, unreadable=True), range(6), executor))
-        assert list(results_in_order(Shared(5), range(6), executor)) == [0, 5, 10, 15, 20, 25]
+        for k, factor in enumerate((3, 5), start=1):
+            assert list(results_in_order(Shared(factor), range(50), executor)) == [factor * k for k in range(50)]
+            assert Shared.sent == 2 * k

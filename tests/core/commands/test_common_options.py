@@ -9,7 +9,7 @@ import click
 import pytest
 
 from calib import cli
-from calib.core.base.errors import ComputationError, InputError, NotConvergedError
+from calib.core.base.errors import CalibrationError, ComputationError, InputError, NotConvergedError
 from calib.core.commands.common import shared_options, with_values
 from calib.core.commands.program import run_program
 from tests.signed_files import read_plain
@@ -65,21 +65,16 @@ def raising(error):
 def test_every_error_is_one_line_and_an_exit_code(run, error, code, line):
     ended, out, err = run(raising(error), "do")
     assert (ended, out, err.lstrip("\n")) == (code, "", line)
-
-
-def test_debug_shows_the_traceback_and_keeps_the_exit_code(run):
-    for error, code in ((InputError("wrong"), 2), (ComputationError("wrong"), 3)):
+    if isinstance(error, CalibrationError):
         ended, _, err = run(raising(error), "do", "--debug")
-        assert ended == code
-        assert err.startswith("Traceback")
-        assert err.endswith("wrong\n")
+        assert (ended, err[:9], err.endswith(f"{error}\n")) == (code, "Traceback", True)
 
 
 def test_output_goes_where_it_belongs(run, tmp_path):
     def function(output):
         output.say("for people")
         output.note("remark")
-        output.json({"µ": [1, None]})
+        output.json({"µ": [1, float("nan")]})
 
     assert run(function, "do") == (0, "for people\n", "remark\n")
     assert run(function, "do", "--quiet") == (0, "", "")
@@ -91,11 +86,6 @@ def test_output_goes_where_it_belongs(run, tmp_path):
     assert json.loads(out) == {"µ": [1, None]}  # and nothing else is on standard output
 
 
-def test_json_says_null_of_what_is_not_known(run):
-    code, out, _ = run(lambda output: output.json({"x": float("nan")}), "do", "--json", "-")
-    assert (code, json.loads(out)) == (0, {"x": None})
-
-
 def test_a_place_for_json_that_cannot_be_written_is_refused_before_the_work(run, tmp_path):
     worked = []
     code, _, err = run(worked.append, "do", "--json", str(tmp_path / "no" / "out.json"))
@@ -103,16 +93,10 @@ def test_a_place_for_json_that_cannot_be_written_is_refused_before_the_work(run,
     assert "cannot be written (no such file or directory)" in err
 
 
-def test_no_spinner_where_nobody_watches(run):
+def test_long_work_tells_a_file_how_far_it_is_unless_quiet_and_shows_it_no_spinner(run, monkeypatch):
     def function(output):
-        with output.working("thinking"):
+        with output.working("short"):
             pass
-
-    assert run(function, "do") == (0, "", "")
-
-
-def test_long_work_tells_a_file_how_far_it_is_unless_quiet(run, monkeypatch):
-    def function(output):
         with output.working("thinking") as progress:
             progress(1, 3)
             clock[0] += 59.0

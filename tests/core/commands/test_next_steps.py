@@ -94,17 +94,20 @@ def test_a_result_that_no_urdf_can_hold_is_used_by_the_whole_model(robot, data, 
     assert "urdf" not in advice(validated)
 
 
-def test_a_check_leads_to_poses_to_measure_or_to_a_fit(robot, data):
-    assessment = calib.check(robot, data)
+def test_a_check_leads_to_poses_to_measure_or_to_a_fit_with_what_the_next_command_knows(robot, data):
+    assessment, poses, files = calib.check(robot, data), calib.as_poses(robot, data.joints), ("d.csv",)
     assert "calib sample" in advice_after_check(assessment, "a.yaml", data, (), {})
-    assert "calib fit a.yaml d.csv --validate 0.25" in advice_after_check(assessment, "a.yaml", data, ("d.csv",), {})
-    poses = calib.as_poses(robot, data.joints)
-    assert "calib select a.yaml d.csv --count 40" in advice_after_check(assessment, "a.yaml", poses, ("d.csv",), {})
+    typed = {"--sigma-mm": ("0.3",), "--seed": ("3",), "--task": ("my task.csv",)}
+    for given, sigma, task in (({}, "", ""), (typed, " --sigma-mm 0.3", " --task 'my task.csv'")):
+        to_fit, to_select = (advice_after_check(assessment, "a.yaml", of, files, given) for of in (data, poses))
+        assert f" calib fit a.yaml d.csv{sigma} --validate 0.25" in to_fit
+        assert to_select.endswith(f" calib select a.yaml d.csv --count 40{sigma}{task} --out chosen.csv")
+        assert advice_after_select("a.yaml", "b.csv", given).endswith(f"--candidates b.csv{sigma}")
     still = calib.check(robot.fix("reflector.x"), data[[0] * 20])
     assert still.determination.missing
     hold = "Next: hold parameters that are named above (`held` in the description), or add poses, and check again: "
-    for given in (poses, data):
-        assert advice_after_check(still, "a.yaml", given, ("d.csv",), {}) == f"{hold}calib check a.yaml d.csv"
+    for of in (poses, data):
+        assert advice_after_check(still, "a.yaml", of, files, {}) == f"{hold}calib check a.yaml d.csv"
 
 
 @pytest.mark.quick(0)
@@ -133,16 +136,6 @@ def test_a_noise_that_the_next_step_is_to_change_is_not_typed_again(fit, say, mo
     assert advice(fit, typed).endswith(again)
     say("CHECK", "at_bounds", "joint_never_moved")
     assert advice(fit, typed).endswith(": calib check a.yaml d.csv --sigma-mm 0.3")
-
-
-def test_a_check_hands_on_what_the_next_command_knows(robot, data):
-    typed = {"--sigma-mm": ("0.3",), "--seed": ("3",), "--task": ("my task.csv",)}
-    assessment, poses = calib.check(robot, data), calib.as_poses(robot, data.joints)
-    to_fit, to_select = (advice_after_check(assessment, "a.yaml", of, ("d.csv",), typed) for of in (data, poses))
-    assert " calib fit a.yaml d.csv --sigma-mm 0.3 --validate 0.25" in to_fit
-    chosen = " calib select a.yaml d.csv --count 40 --sigma-mm 0.3 --task 'my task.csv' --out chosen.csv"
-    assert to_select.endswith(chosen)
-    assert advice_after_select("a.yaml", "b.csv", typed).endswith("--candidates b.csv --sigma-mm 0.3")
 
 
 @pytest.mark.quick(0)

@@ -19,22 +19,16 @@ def test_arrays_are_named_by_row_and_poses_stay_what_they_are(arm):
 
 
 def test_measurements_from_arrays_are_those_of_a_file(arm, tmp_path):
-    positions = arm.positions(Q)[:, 0] + np.array([[1e-3, 0, 0], [0, 2e-3, 0], [0, 0, 3e-3]])
-    names, header = ("a", "b", "c"), "pose,turn,slide,wrist,tip_x,tip_y,tip_z"
-    read = calib.read_measurements(write_table(tmp_path / "data.csv", header, names, Q, positions), arm)
-    made = calib.as_measurements(arm, Q, positions, names)
-    assert made.names == read.names
+    q = Q[[0, 0, 1]]
+    positions = arm.positions(q)[:, 0] + np.array([[1e-3, 0, 0], [0, 2e-3, 0], [0, 0, 3e-3]])
+    names, header = ("a", "a", "c"), "pose,turn,slide,wrist,tip_x,tip_y,tip_z"
+    read = calib.read_measurements(write_table(tmp_path / "data.csv", header, names, q, positions), arm)
+    made = calib.as_measurements(arm, q, positions, names)
+    assert made.names == read.names == names
+    assert made.pose_numbers.tolist() == [0, 0, 1]  # rows with the same name repeat a pose
     np.testing.assert_array_equal(made.joints, read.joints)
     for field in ("visits", "pairs", "values"):
         np.testing.assert_array_equal(getattr(made.readings["tip"], field), getattr(read.readings["tip"], field))
-
-
-def test_rows_with_the_same_name_repeat_a_pose(arm):
-    positions = arm.positions(Q[[0, 0, 1]])
-    data = calib.as_measurements(arm, Q[[0, 0, 1]], positions, ["first", "first", "second"])
-    assert data.names == ("first", "first", "second")
-    assert data.pose_numbers.tolist() == [0, 0, 1]
-    np.testing.assert_array_equal(data.points(arm), positions)
 
 
 def test_a_row_of_nan_is_a_reading_that_was_not_taken(tmp_path):

@@ -47,11 +47,6 @@ def test_numbers_go_to_the_joint_that_has_them_whatever_its_place(data):
     np.testing.assert_allclose(poses.joints, data.joints[:, [1, 0, 2, 3, 4, 5]], atol=1e-15)
 
 
-def test_a_guess_without_a_unit_is_refused(robot, data):
-    with pytest.raises(calib.DataError, match="column 'J1': looks like 'joint_1', but has no unit"):
-        calib.read_measurements(renamed(data, foreign("J{}", "{} [mm]")), robot)
-
-
 def test_too_few_or_doubtful_columns_are_not_guessed(robot, data):
     names = foreign("J{} [deg]", "{} [mm]")
     with pytest.raises(calib.DataError, match="no column 'joint_1'"):
@@ -75,13 +70,14 @@ def test_the_command_line_tells_a_guess_in_one_line(data, tmp_path, run_calib):
     ("joint", "axis", "message"),
     [
         ("joint_{}_deg", "reflector_{} [mm]", "column 'joint_1_deg': write its unit in brackets: 'joint_1 [deg]'"),
+        ("J{}", "{} [mm]", "column 'J1': looks like 'joint_1', but has no unit"),
         ("J{} deg", "{} [mm]", "column 'J1 deg': write its unit in brackets: 'J1 [deg]'"),
         ("J{} (grad)", "{} [mm]", "column 'J1 (grad)': unknown unit 'grad'; did you mean 'rad'?"),
         ("J{} [deg]", "reflector_{}_mm", "column 'reflector_x_mm': write its unit in brackets: 'reflector_x [mm]'"),
         ("J{} [deg]", "{} (in)", "column 'x (in)': unknown unit 'in'; valid: arcsec, deg, m, mm, mrad, rad, um, urad"),
     ],
 )
-def test_a_unit_that_is_written_otherwise_is_named(robot, data, joint, axis, message):
+def test_a_unit_that_is_missing_or_written_otherwise_is_named(robot, data, joint, axis, message):
     with pytest.raises(calib.DataError, match=re.escape(message)):
         calib.read_measurements(renamed(data, foreign(joint, axis)), robot)
 

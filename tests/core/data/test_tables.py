@@ -44,20 +44,11 @@ def test_names_units_comments_and_lines_are_told_apart(table_of):
 
 
 @pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"])
-def test_line_ends_of_every_system_are_read(table_of, ends):
-    assert table_of(ends.join(["a,b", "1,2", "3,4"])).column("b", "length").tolist() == [2.0, 4.0]
-
-
-def test_odd_separators_inside_a_cell_do_not_break_the_line(table_of):
-    table = table_of("note,x\nform\x0cfeed\x85next\u2028line,1\n")
-    assert tuple(table.lines) == (2,)
-    assert table.column("x", "length").tolist() == [1.0]
-
-
-def test_quoted_cells_are_read_also_behind_a_blank(table_of):
-    table = table_of('"x, y", "z [mm]"\n"1", "2"\n')
-    assert table.names == ("x, y", "z")
-    assert table.column("z", "length").tolist() == [0.002]
+def test_line_ends_of_every_system_are_read_and_odd_ones_inside_a_cell_are_none(table_of, ends):
+    table = table_of("\ufeff" + ends.join(['note, "b, c [mm]"', "for\x0cm\x85\u2028,2", 'größer, "4"']))
+    assert [row[0] for row in table.rows] == ["for\x0cm\x85\u2028", "größer"]
+    assert table.column("b, c", "length").tolist() == [0.002, 0.004]
+    assert tuple(table.lines) == (2, 3)
 
 
 @pytest.mark.parametrize(
@@ -67,19 +58,16 @@ def test_quoted_cells_are_read_also_behind_a_blank(table_of):
         ("# only a comment\n\n,,\n", "is empty; expected a header line and rows of numbers"),
         ("a,b\n", "has a header but no rows"),
         ("a;b\n1;2\n3;4;5\n", "line 3: 3 cells for 2 columns"),
-        ('# exported\na;b\n;;\n1;"2\n', "line 4: is not CSV (unexpected end of data)"),
         ("a,b,a [mm]\n1,2,3\n", "column 'a' appears twice; names must be unique"),
         ("a,,b\n1,2,3\n", "column 2 has no name in the header; name it, or remove it"),
-        ("a,[mm]\n1,2\n", "column 2 has no name in the header; name it, or remove it"),
         ("a,b\n1,2\n3\n", "line 3: 1 cells for 2 columns"),
         ("Monday\na,b\nc,d\n", "line 2: 2 cells for 1 columns; if line 1 is not the header, begin it with #"),
         (
             "a,b\n1,5,2,5\n",
             "line 2: 4 cells for 2 columns; write decimals with a point, or separate columns by semicolons",
         ),
-        ('a,b\n1,"2\n3",4\n', "line 2: is not CSV (unexpected end of data)"),
+        ('# exported\na;b\n;;\n1;"2\n3";4\n', "line 4: is not CSV (unexpected end of data)"),
         (b"\xff\xfea\x00,\x00", "column 2 has no name in the header; name it, or remove it"),
-        ("a,b\n1\n".encode("utf-16"), "line 2: 1 cells for 2 columns"),
         (bytes(range(128, 256)), "is not UTF-8 text; give a CSV file in UTF-8"),
     ],
 )
@@ -89,23 +77,19 @@ def test_a_file_that_is_no_table_is_an_error_that_says_where(table_of, tmp_path,
 
 @pytest.mark.parametrize("mark", [";", "\t"])
 def test_semicolons_and_tabs_part_columns_and_leave_the_comma_for_decimals(table_of, mark):
-    text = "# Export, from there\npose;q1 [mm];q2\nA, left;1,5;-,25\nB;-1;2,5e-1\n;;\nC;2,;3\n"
+    text = "# Export, from there\npose;q1 [mm];q2;x\nA, left;1,5;-,25;2\nB;-1;2,5e-1;4.25e0\n;;;\nC;2,;3;1.5\n"
     table = table_of(text.replace(";", mark))
     assert table.text("pose") == ["A, left", "B", "C"]  # text keeps its commas
     assert tuple(table.lines) == (3, 4, 6)
     assert table.column("q1", "length").tolist() == [0.0015, -0.001, 0.002]
     assert table.column("q2", "angle").tolist() == [-0.25, 0.25, 3.0]
-
-
-def test_points_stay_decimal_points_where_semicolons_part_columns(table_of):
-    assert table_of("a;b\n1.5;2\n3;4.25e0\n").column("b", "length").tolist() == [2.0, 4.25]
+    assert table.column("x", "length").tolist() == [2.0, 4.25, 1.5]
 
 
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
         (("1,5", "1.234,5"), "line 3, column 'b': '1.234,5' is not a number; write thousands without a mark"),
-        (("1.5", "1,234.5"), "line 3, column 'b': '1,234.5' is not a number; write thousands without a mark"),
         (("1,5", "1,234,567"), "line 3, column 'b': '1,234,567' is not a number; write thousands without a mark"),
         (("2.5", "1,234"), "line 3, column 'b': '1,234', but '2.5' in line 2; write all decimals of a column one way"),
         (("1,5", "fast, too"), "line 3, column 'b': 'fast, too' is not a number"),
@@ -120,14 +104,10 @@ def test_commas_that_may_mean_something_else_are_errors_with_line_and_column(tab
     ("cell", "message"),
     [
         ("", "is empty; fill it in, or remove the row"),
-        ("  ", "is empty; fill it in, or remove the row"),
         ("nan", "'nan' is not finite; remove the row"),
-        ("-inf", "'-inf' is not finite; remove the row"),
         ("1e999", "'1e999' is not finite; remove the row"),
         ("fast", "'fast' is not a number"),
         ("1_000", "'1_000' is not a number"),  # Python's float() would read 1000
-        ("0x10", "'0x10' is not a number"),
-        ("12 mm", "'12 mm' is not a number"),
         ('"1,5"', "'1,5' is not a number; write decimals with a point"),
     ],
 )
@@ -148,9 +128,6 @@ def test_numbers_without_a_unit_that_cannot_be_si_are_refused(table_of):
     assert complaint(table.column, "q", "angle").endswith(words.format("q", "-90 rad", "deg, or rad"))
     assert complaint(table.column, "x", "length").endswith(words.format("x", "412.7 m", "mm, or m"))
     assert table.column("far", "length").tolist() == [300.0, 400.0]
-
-
-def test_the_limits_of_plausible_leave_room_for_real_robots():
     check_plausible(4 * math.pi, "angle", "here", "there")  # a last joint of two turns either way
     check_plausible(50.0, "length", "here", "there")  # a tracker across a hall
 
@@ -162,10 +139,7 @@ def test_foreign_columns_are_renamed_and_their_own_unit_counts(table_of):
     assert table.column("tool_x", "length").tolist() == [0.005]
     assert table.column("q1", "angle").tolist() == [math.pi]
     assert table_of("x1 [um]\n5\n", renamed).column("tool_x", "length").tolist() == [5e-6]
-
-
-def test_a_foreign_column_that_becomes_one_that_is_there_is_a_duplicate(table_of):
-    text = complaint(table_of, "x1,tool_x\n1,2\n", {"x1": "tool_x"})
+    text = complaint(table_of, "x1,tool_x\n1,2\n", renamed)
     assert text.endswith("column 'tool_x' appears twice; names must be unique")
 
 
@@ -203,11 +177,9 @@ def test_no_name_is_a_formula_to_a_spreadsheet_and_every_name_reads_back(tmp_pat
     assert format_table([("pose", table.text("pose")), (name, [-1.5, 2.0])], table.comments) == path.read_text()
 
 
-def test_a_number_with_a_unit_is_no_formula():
+def test_what_is_no_text_or_number_is_written_as_what_it_is():
     assert format_table([("limit", ["-170.0 deg", "-1 cmd|"])]) == "limit\n-170.0 deg\n'-1 cmd|\n"
-
-
-def test_columns_of_different_length_cannot_be_written():
+    assert format_table([("x", np.array([1.5, np.nan, -np.inf])), ("n", ["a", "#b", 3])]) == "x,n\n1.5,a\n,#b\n,3\n"
     with pytest.raises(ValueError):
         format_table([("a", [1.0]), ("b", [1.0, 2.0])])
 
@@ -220,33 +192,6 @@ def test_cells_are_those_of_csv(line):
     assert cells_of(line, ",") == tuple(next(csv.reader([line], skipinitialspace=True, strict=True)))
 
 
-def test_files_are_read_alike_in_pieces_of_any_size(tmp_path, monkeypatch):
-    """Pieces end between the bytes of a letter and between those of a line's end."""
-    content = "\ufeff# größer\r\npose,q1 [mm]\r\n" + "".join(f"Ü{k},{k}.5\r\n" for k in range(600)) + "# Ende\r\nlast,7"
-    (tmp_path / "table.csv").write_bytes(content.encode())
-    for size in (1, 2, 3, 1 << 20):
-        monkeypatch.setattr("calib.core.base.files._PIECE", size)
-        table = read_table(tmp_path / "table.csv")
-        assert table.comments == ("größer", "Ende")
-        assert table.text("pose") == [f"Ü{k}" for k in range(600)] + ["last"]
-        assert tuple(table.lines) == (*range(3, 603), 604)
-        assert table.rows[-2:] == (("Ü599", "599.5"), ("last", "7"))
-        np.testing.assert_allclose(1e3 * table.column("q1", "length"), [*np.arange(600) + 0.5, 7.0])
-
-
-def test_columns_are_the_cells_of_the_rows(tmp_path):
-    """Some parts have quotes or blanks, some have none, and the text has its own parts."""
-    lines = [
-        f'"p,{k}", {k}.5,{k}' if k % 300 == 7 else f"p{k},  {k}.5,{k}" if k % 2 else f"p{k},{k}.5,{k}"
-        for k in range(900)
-    ]
-    (tmp_path / "table.csv").write_text("pose,x,y\n" + "\n".join(lines) + "\n")
-    table = read_table(tmp_path / "table.csv")
-    assert table.text("pose") == [row[0] for row in table.rows]
-    assert table.text("pose")[307] == "p,307"
-    np.testing.assert_array_equal(table.column("x", None), np.arange(900) + 0.5)
-
-
 def test_the_text_of_a_column_keeps_no_memory_of_the_other_cells(table_of):
     """Python takes the memory of many short texts in blocks, which one text of each keeps."""
     table = table_of("pose,q1\nfirst,0.5\nsecond,0.25\n")
@@ -254,7 +199,7 @@ def test_the_text_of_a_column_keeps_no_memory_of_the_other_cells(table_of):
     assert all(text is not cells[0] for text, cells in zip(table.text("pose"), table.rows, strict=True))
 
 
-def test_a_long_table_is_written_without_all_its_cells_in_memory(tmp_path):
+def test_a_long_table_is_written_without_all_its_cells_in_memory():
     columns = [(f"q{k}", np.random.default_rng(k).standard_normal(30_000)) for k in range(6)]
     columns.append(("pose", [f"P{k}" for k in range(30_000)]))
     tracemalloc.start()
@@ -262,14 +207,6 @@ def test_a_long_table_is_written_without_all_its_cells_in_memory(tmp_path):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 5 * len(text)  # lines, their join, and cells of a part; all cells take as much as the rest
-    (tmp_path / "long.csv").write_text(text)
-    table = read_table(tmp_path / "long.csv")
-    assert table.text("pose") == columns[-1][1]
-    assert all(np.array_equal(table.column(name, None), values) for name, values in columns[:-1])
-
-
-def test_cells_of_an_array_without_a_number_are_empty():
-    assert format_table([("x", np.array([1.5, np.nan, -np.inf])), ("n", ["a", "#b", 3])]) == "x,n\n1.5,a\n,#b\n,3\n"
 
 
 def test_lines_are_those_of_the_csv_writer_with_the_digits_of_repr():

@@ -155,6 +155,7 @@ def test_what_is_there_is_added_and_nothing_else(robot):
     told = {trial.term: trial for trial in fit.terms.trials}
     assert told["gain"].evidence > 20
     assert told["gain"].size95[0] < told["gain"].size < told["gain"].size95[1]
+    assert all(trial.size95[0] <= trial.size <= trial.size95[1] for trial in told.values() if trial.size > 0)
     report = " ".join(fit.report(verbose=True).split())
     assert "Joint terms added: gain of joint_" in report
     assert ", surely there)" in report

@@ -14,7 +14,7 @@ from calib.core.data.measurements import with_points
 from calib.core.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _basis, causes_of
 from calib.core.judging.findings import joint_budget
 from calib.core.results.report_text import text_report
-from calib.core.results.result_content import to_dict
+from calib.core.results.results import to_dict
 from calib.core.results.sections.budget import budget_table
 from calib.core.rows.observed import observe
 from tests.small_robots import ARM_YAML, write_arm

@@ -3,7 +3,7 @@
 import pytest
 
 from calib.core.base.errors import DataError, DescriptionError
-from calib.core.base.tolerances import stated_tolerance
+from calib.core.base.units import stated_tolerance
 from calib.core.robots.description import read_description
 from tests.project import EXAMPLES, copied
 

@@ -47,32 +47,20 @@ BASE = {"base.x": 3.0, "base.y": -2.0, "base.z": 1.0, "base.rx": 2.0, "base.ry":
             BASE | {"tip.x": 0.2, "tip.y": -0.1, "elbow.x": -0.05, "elbow.y": 0.3, "elbow.z": 0.02},
         ),
         ("known", [("elbow", "slider", "known"), ("tip", "tool", "unknown")], {"tip.z": -0.4}),
+        ("known", [("tip", "tool", "known")], {}),
     ],
 )
-def test_what_is_unknown_is_found_exactly(tmp_path, base, targets, truth):
-    robot = robot_with(tmp_path, base=base, targets=targets)
-    data = exact(robot.with_parameters(truth))
-    placed = register(robot, data)
-    assert np.abs(placed.positions(data.joints) - data.points(robot)).max() < ROUNDING
-    places = [p.placement for p in robot.parameters]
-    assert np.array_equal(placed.values[np.logical_not(places)], robot.values[np.logical_not(places)])
-
-
-def test_with_everything_known_nothing_changes(tmp_path):
-    robot = robot_with(tmp_path, base="known", targets=[("tip", "tool", "known")])
-    assert np.array_equal(register(robot, exact(robot)).values, robot.values)
-
-
-def test_a_calibrated_robot_is_placed_on_top_of_its_values(tmp_path):
-    """A robot whose base and target have moved already is where it was, and its other parameters stay."""
-    robot = robot_with(tmp_path, base="unknown", targets=[("tip", "tool", "unknown")])
-    truth = robot.with_parameters(BASE | {"tip.x": 0.2, "tip.y": -0.1, "turn.x": 0.01, "wrist.rz": 0.02})
-    data = exact(truth)
-    placed = register(truth, data)
-    assert np.abs(placed.positions(data.joints) - data.points(robot)).max() < ROUNDING
-    assert np.abs(placed.values - truth.values).max() < 1e-8
-    elsewhere = register(truth.with_parameters({"base.x": -7.0, "base.rz": -2.0, "tip.y": 0.4}), data)
-    assert np.abs(elsewhere.values - truth.values).max() < 1e-8
+def test_what_is_unknown_is_found_exactly_from_wherever_it_was_and_the_rest_stays(tmp_path, base, targets, truth):
+    robot = robot_with(tmp_path, base=base, targets=targets).with_parameters({"turn.x": 0.01, "wrist.rz": 0.02})
+    true = robot.with_parameters(truth)
+    data = exact(true)
+    elsewhere = {"base.x": -7.0, "base.rz": -2.0, "tip.y": 0.4}
+    for start in (robot, true, true.with_parameters({name: elsewhere[name] for name in elsewhere if name in truth})):
+        placed = register(start, data)
+        assert np.abs(placed.positions(data.joints) - data.points(robot)).max() < ROUNDING
+        assert np.abs(placed.values - true.values).max() < 1e-8
+        places = [p.placement for p in robot.parameters]
+        assert np.array_equal(placed.values[np.logical_not(places)], robot.values[np.logical_not(places)])
 
 
 def test_held_places_stay(tmp_path):

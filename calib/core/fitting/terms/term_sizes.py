@@ -219,15 +219,16 @@ class _TermModel:
         members = self._members({candidate.term})
         there = [k for k in members if self._is_fitted[k]]
         most = max(members, key=lambda k: self._chosen_model.logs[k])
-        low, high = np.quantile(np.exp(self._draws[:, most]), _LIMITS)
+        low, high = np.quantile(np.exp(self._draws[:, most]), _LIMITS)  # beside all kinds: the size is beside fewer
+        size = float(np.exp(max(self._chosen_model.logs[most], self._smallest_logs[most])))
         return TermTrial(
             candidate.term,
             bool(there),
             self._solve_with_kinds(self._requested_kinds - {candidate.term}).cost - self._solved_model.cost
             if there
             else float("nan"),
-            float(np.exp(max(self._chosen_model.logs[most], self._smallest_logs[most]))),
-            (float(low), float(high)),
+            size,
+            (min(float(low), size), max(float(high), size)),
             tuple(self._families[k].joint for k in there if self._families[k].joint),
             "" if self._adds_terms or not np.any(self._is_large[members]) else _TOO_FEW,
         )

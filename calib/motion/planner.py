@@ -213,7 +213,9 @@ class Planner:
         """A shorter path with fewer corners."""
         generator = np.random.default_rng(self.seed)
         corners = self._straighten(corners)
-        for _ in range(_SHORTCUTS if len(corners) > 2 else 0):
+        for _ in range(_SHORTCUTS):
+            if len(corners) < 3:
+                break
             cut = self._cut_corner(corners, generator)
             if cut is not None:
                 corners = self._straighten(cut)
@@ -230,12 +232,10 @@ class Planner:
 
     def _cut_corner(self, corners: FloatArray, generator: np.random.Generator) -> FloatArray | None:
         """The path with a corner cut off at random points before and behind it; None if that is blocked."""
-        if len(corners) < 3:
-            return None
         k = int(generator.integers(1, len(corners) - 1))
         before, behind = generator.uniform(0.2, 0.9, 2)
         one = corners[k] + before * (corners[k - 1] - corners[k])
         other = corners[k] + behind * (corners[k + 1] - corners[k])
-        if self.move(one, other).hit or self.move(corners[k - 1], one).hit or self.move(other, corners[k + 1]).hit:
-            return None
-        return np.vstack([corners[:k], one, other, corners[k + 1 :]])
+        moves = (one, other), (corners[k - 1], one), (other, corners[k + 1])
+        free = not any(self.move(*move).hit for move in moves)
+        return np.vstack([corners[:k], one, other, corners[k + 1 :]]) if free else None

@@ -78,10 +78,6 @@ class Sight:
             for body in self.shapes_hiding(line, ends):
                 yield f"{body} in sight of {line.name}"
 
-    def ends(self, q: FloatArray) -> list[FloatArray]:
-        """Return both ends of each line in a configuration, in the root link, (2, 3) [m] each."""
-        return [ends for _, ends, _ in self._lines_in_root(q)]
-
     def _lines_in_root(self, q: FloatArray) -> Iterator[tuple[SightLine, FloatArray, bool]]:
         """Lines with their ends in the root link, (2, 3) [m], and whether the target is turned away."""
         model, (geometry, data, workspace) = self.scene.robot.mechanism.model, self.scene.workspace
@@ -111,7 +107,9 @@ class Sight:
             if body.name == line.target or (line.name, body.name) in self.ignored:
                 continue
             T = coal.Transform3s(data.oMg[k].rotation, data.oMg[k].translation)
-            if all(_touches(shape, T, beam, place) for shape in (body.hull, body.mesh) if shape is not None):
+            if all(
+                _touches(shape, T, beam, place) for shape in (body.solid.hull, body.solid.mesh) if shape is not None
+            ):
                 yield body.name
 
     def without_ends(self, joints: FloatArray) -> Sight:

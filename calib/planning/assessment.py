@@ -312,9 +312,7 @@ class CountRow:
     chosen: TaskIndex | None
 
 
-def accuracy_by_count(
-    rows: FloatArray, priors: FloatArray, task_rows: FloatArray, counts: tuple[int, ...] | None = None
-) -> tuple[CountRow, ...]:
+def accuracy_by_count(rows: FloatArray, priors: FloatArray, task_rows: FloatArray) -> tuple[CountRow, ...]:
     """Predict the accuracy for several numbers of poses.
 
     Args:
@@ -322,7 +320,6 @@ def accuracy_by_count(
         priors: Prior rows, (n_priors, n_parameters).
         task_rows: Scaled derivative of positions at the poses whose accuracy counts, (n_task, 3 n_targets,
             n_parameters) [m].
-        counts: Numbers of poses, at most those given; chosen automatically by default.
 
     Returns:
         A row for each number that determines as much as all poses do.
@@ -336,12 +333,11 @@ def accuracy_by_count(
     strengths = linalg.singular_values(rows[candidates])
     of_a_pose = max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))  # directions, at most
     least = max(1, -(-rank_left // of_a_pose))
-    if counts is None:
-        counts = tuple(int(m) for m in np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))))
+    counts = np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))).astype(int).tolist()
     space = Spacing.free(np.ones(len(candidates), dtype=bool))
     table = []
     for count in counts:
-        uniform = _accuracy(rows[uniform_start(np.arange(n), count)], priors, task_rows, 1.0)
+        uniform = _accuracy(rows[uniform_start(np.arange(n), count)], priors, task_rows)
         chosen = uniform if count == n else None
         if count < n and count <= _MOST_CHOSEN:
             start = uniform_start(np.arange(len(candidates)), count)
@@ -349,12 +345,11 @@ def accuracy_by_count(
                 best = candidates[exchange(problem, TASK, start, space).chosen]
             except NotIdentifiableError:  # too few to determine as much as all poses do
                 continue
-            chosen = _accuracy(rows[best], priors, task_rows, 1.0)
+            chosen = _accuracy(rows[best], priors, task_rows)
         table.append(CountRow(count, uniform, chosen))
-    for times in _BEYOND:
-        table.append(CountRow(times * n, None, _accuracy(rows, priors, task_rows, float(times))))
-    return tuple(table)
+    several = [CountRow(times * n, None, _accuracy(np.sqrt(times) * rows, priors, task_rows)) for times in _BEYOND]
+    return (*table, *several)
 
 
-def _accuracy(rows: FloatArray, priors: FloatArray, task_rows: FloatArray, times: float) -> TaskIndex:
-    return task_index(information(np.sqrt(times) * rows, priors).position_errors(task_rows))
+def _accuracy(rows: FloatArray, priors: FloatArray, task_rows: FloatArray) -> TaskIndex:
+    return task_index(information(rows, priors).position_errors(task_rows))

@@ -23,21 +23,16 @@ _LONGEST_PIECE = 3
 _IMPROVED = 1000  # largest number of poses for which the path is improved
 
 
-def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
-    """Return the length of a path from home through the poses [joint ranges].
+def travel(joints: FloatArray, home: FloatArray) -> float:
+    """Return the length of a path [joint ranges] from home (n_actuated,) through the poses (n, n_actuated) [m or rad].
 
-    Args:
-        joints: Poses, (n, n_actuated) [m or rad].
-        home: Start of the path, (n_actuated,) [m or rad].
-        order: Poses in the order of visiting, (n,).
+    The poses are visited in their order.
     """
-    points = _points(joints, home)
-    path = np.concatenate([[0], np.asarray(order, dtype=np.intp) + 1])
-    return float(np.sum(np.max(np.abs(np.diff(points[path], axis=0)), axis=1)))
+    return float(np.sum(np.max(np.abs(np.diff(_points(joints, home), axis=0)), axis=1)))
 
 
 def distances_from(joints: FloatArray, start: FloatArray) -> FloatArray:
-    """Return the distance of each pose from the present pose of the robot, (n,) [joint ranges].
+    """Return the distance of each pose from the robot's present one, (n,) [joint ranges].
 
     Args:
         joints: Poses, (n, n_actuated) [m or rad].
@@ -77,8 +72,7 @@ def shortest_order(joints: FloatArray, home: FloatArray) -> IntArray:
     path = _nearest_first(gaps)
     while len(joints) <= _IMPROVED:
         shorter = _reverse_piece(path, gaps)
-        if shorter is None:
-            shorter = _move_piece(path, gaps)
+        shorter = _move_piece(path, gaps) if shorter is None else shorter
         if shorter is None:
             break
         path = shorter

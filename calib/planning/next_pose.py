@@ -91,7 +91,7 @@ def next_pose(
     else:
         scores = DeterminantScores.from_problem(problem, problem.before + _KNOWN * np.eye(len(problem.before)))
     gains = np.where(usable, scores.gains(), -np.inf)
-    way = distances_from(setting.candidates.joints, robot.home if present is None else present)[setting.pairs.pose]
+    way = distances_from(setting.poses.joints, robot.home if present is None else present)[setting.pairs.pose]
     if drawn is None:
         best = int(np.argmin(np.where(gains >= ENOUGH * np.max(gains), way, np.inf)))
     else:
@@ -102,7 +102,7 @@ def next_pose(
     return NextPose(
         candidate=pose,
         name=setting.poses.names[pose],
-        joints=setting.candidates.joints[pose],
+        joints=setting.poses.joints[pose],
         before=float(np.sqrt(before + problem.task_floor)),
         after=float(np.sqrt(max(after, 0.0) + problem.task_floor)),
         travel=float(way[best]),

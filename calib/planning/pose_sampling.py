@@ -29,13 +29,12 @@ from calib.core.instruments.kind import Comparison, FrameInstrument, Instrument,
 from calib.core.instruments.pose import Pose
 from calib.core.instruments.rotations import rotation_vectors
 from calib.core.robots.described_instruments import MEASUREMENT_FRAME
-from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.joint_sampling import TRIES, Ranges
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import planned_readings, predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
-from calib.shared.candidates import configurations_at
+from calib.shared.candidates import reachable_configurations
 from calib.shared.pose_check import PoseCheck, blocking_sentence, check_poses
 
 _TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses to try: for each needed one, and limits of all
@@ -142,10 +141,7 @@ def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
     result = {name: np.zeros(len(poses), dtype=bool) for name in names}
     for start in range(0, len(poses) if result else 0, _AT_ONCE):
         part = poses.subset(np.arange(start, min(start + _AT_ONCE, len(poses))))
-        columns = term_columns(robot, part.joints, part.conditions)
-        closed = robot.close(part.joints, columns=columns)
-        good = np.flatnonzero(closed.ok)
-        configurations = configurations_at(robot, part.joints, closed, columns, good)
+        good, configurations = reachable_configurations(robot, part)
         looks = planned_readings(robot, part.subset(good))
         for name, readings in predict_readings(robot, configurations, {name: looks[name] for name in result}).items():
             seen = np.isfinite(readings.values).any(axis=1)

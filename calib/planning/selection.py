@@ -43,7 +43,7 @@ from calib.core.robots.loading import RobotLike, as_robot
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import order_in_blocks, travel
-from calib.planning.selection_bound import CERTIFIED, gathered_by, log_phi, relax, slopes
+from calib.planning.selection_bound import CERTIFIED, gathered_by, largest, log_phi, relax, slopes
 from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_result import Run, Selection
 from calib.planning.selection_scores import index_values, observability_of
@@ -69,23 +69,12 @@ class CandidateSubset:
     space: Spacing
     n_all: int
 
-    def numbers_of(self, candidates: IntArray) -> IntArray:
-        """Return the indices in this subset of candidates (n,), all of which must be in it."""
-        return np.asarray(np.searchsorted(self.index, candidates))
-
     def with_all_numbers(self, result: Exchange) -> Exchange:
         """Return an exchange in this subset with the indices of all candidates."""
         chosen = np.zeros(self.n_all, dtype=bool)
         chosen[self.index[result.chosen]] = True
-        history = tuple((a, b) if a < 0 else (int(self.index[a]), int(self.index[b])) for a, b in result.history)
+        history = tuple((int(self.index[a]), int(self.index[b])) for a, b in result.history)
         return replace(result, chosen=chosen, history=history)
-
-
-def first_candidates(setting: SelectionSetting, starts: IntArray) -> CandidateSubset:
-    """Return the first candidates to search: the best at equal weights, and the starts (n,)."""
-    # without priors, K of all candidates is the identity
-    alike = setting.count / len(setting.problem) * np.eye(len(setting.problem.strengths))
-    return best_candidates(setting, setting.problem.before + alike, starts)
 
 
 def best_candidates(setting: SelectionSetting, gathered: FloatArray, kept: IntArray) -> CandidateSubset:
@@ -95,7 +84,7 @@ def best_candidates(setting: SelectionSetting, gathered: FloatArray, kept: IntAr
     if setting.index not in CERTIFIED or space.distance > 0 or n_all <= SCREENED:
         return CandidateSubset(np.arange(n_all), problem, space, n_all)
     ranked = np.where(space.usable, slopes(problem, setting.index, gathered), -np.inf)
-    best = setting.largest(ranked, np.maximum(_SEARCHED // len(counts), _FOR_EACH * counts))
+    best = largest(ranked, space.kind, np.maximum(_SEARCHED // len(counts), _FOR_EACH * counts))
     index = np.union1d(np.concatenate(best), kept).astype(np.intp)
     return CandidateSubset(index, replace(problem, rows=problem.rows[index]), space.select(index), n_all)
 
@@ -181,7 +170,7 @@ def select(
         free_or_not = _best_choice(everywhere, kinds[:1], random_numbers(seed))[1]
         unobstructed = index_values(everywhere.problem, free_or_not.chosen, everywhere.sigma)
     chosen = np.flatnonzero(best.chosen)
-    pose, joints = setting.pairs.pose[chosen], setting.candidates.joints[setting.pairs.pose[chosen]]
+    pose, joints = setting.pairs.pose[chosen], setting.poses.joints[setting.pairs.pose[chosen]]
     order = order_in_blocks(joints, robot.home, _blocks(setting, chosen))
     uniform = np.isin(np.arange(len(setting.problem)), setting.uniform())
     nothing = np.zeros(len(setting.problem), dtype=bool)
@@ -200,7 +189,7 @@ def select(
         bound=bound,
         distance=minimum_distance,
         runs=runs,
-        travel=(travel(joints, robot.home, np.arange(total)), travel(joints, robot.home, order)),
+        travel=(travel(joints, robot.home), travel(joints[order], robot.home)),
         rank=setting.problem.rank,
         rank_of_poses=setting.problem.pose_information.rank,
         sigma=setting.sigma,
@@ -224,7 +213,9 @@ def _best_choice(
 ) -> tuple[tuple[Run, ...], Exchange, float | None, float | None]:
     """The runs from each start and the best choice; for an index with a bound, its efficiency and the bound."""
     starts = [setting.uniform() if kind == "uniform" else setting.random(rng) for kind in kinds]
-    searched = first_candidates(setting, np.concatenate(starts))
+    # without priors, K of all candidates is the identity
+    alike = setting.count / len(setting.problem) * np.eye(len(setting.problem.strengths))
+    searched = best_candidates(setting, setting.problem.before + alike, np.concatenate(starts))
     results, runs = zip(*_run(setting, searched, kinds, starts, workers, progress), strict=True)
     best = max(results, key=lambda exchange: exchange.scores.value)
     return _certify(setting, runs, best) if setting.index in CERTIFIED else (runs, best, None, None)
@@ -239,7 +230,8 @@ def _run(
     progress: Progress | None = None,
 ) -> list[tuple[Exchange, Run]]:
     """Run the exchange from each of `starts`; `kinds` names them."""
-    spread = [searched.space.select_spread(searched.numbers_of(start), setting.count) for start in starts]
+    inside = (np.searchsorted(searched.index, start) for start in starts)
+    spread = [searched.space.select_spread(start, setting.count) for start in inside]
     fewest = min(map(len, spread))
     if fewest < setting.count:
         raise InputError(
@@ -248,9 +240,9 @@ def _run(
         )
     runs = []
     search = partial(_search, searched.problem, setting.index, searched.space)
-    for kind, (inside, n_paper) in zip(kinds, results_in_order(search, spread, workers, progress), strict=True):
-        result = searched.with_all_numbers(inside)
-        runs.append((result, Run(kind, result.history[1:], tuple(map(setting.index_of_score, result.values)), n_paper)))
+    for kind, (found, n_paper) in zip(kinds, results_in_order(search, spread, workers, progress), strict=True):
+        result = searched.with_all_numbers(found)
+        runs.append((result, Run(kind, result.history, tuple(map(setting.index_of_score, result.values)), n_paper)))
     return runs
 
 
@@ -258,7 +250,7 @@ def _run(
 def _search(problem: SelectionProblem, index: str, space: Spacing, start: IntArray) -> tuple[Exchange, int]:
     """The exchange and the following swaps from one start, and the number of exchanges before the swaps."""
     paper = exchange(problem, index, start, space)
-    return swap(paper, space), len(paper.values) - 1
+    return swap(paper, space), len(paper.history)
 
 
 def _certify(
@@ -266,8 +258,9 @@ def _certify(
 ) -> tuple[tuple[Run, ...], Exchange, float, float]:
     """Bound all choices, start once more from the relaxed weights, and compare the best choice with the bound."""
     problem, index, usable = setting.problem, setting.index, setting.space.usable
-    relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
-    heaviest = np.concatenate(setting.largest(np.where(usable, relaxation.weights, -1.0), setting.counts))
+    relaxation = relax(problem, index, best.chosen, setting.space)
+    weights = np.where(usable, relaxation.weights, -1.0)
+    heaviest = np.concatenate(largest(weights, setting.space.kind, setting.counts))
     weighted = np.flatnonzero(best.chosen | (relaxation.weights > 0))
     searched = best_candidates(setting, gathered_by(problem, relaxation.weights), weighted)
     starts = {"relaxed": np.sort(heaviest)}

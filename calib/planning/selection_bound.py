@@ -37,6 +37,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.planning.exchange import Spacing
 from calib.planning.selection_problem import TASK, SelectionProblem
 
 CERTIFIED = ("O1", TASK)
@@ -64,16 +65,12 @@ class Relaxation(ReadOnlyArrays):
     weights: FloatArray
 
 
-def relax(
-    problem: SelectionProblem, index: str, chosen: BoolArray, usable: BoolArray, kinds: IntArray | None = None
-) -> Relaxation:
+def relax(problem: SelectionProblem, index: str, chosen: BoolArray, spacing: Spacing) -> Relaxation:
     """Bound the index of any choice with as many poses of each kind as a choice (n_candidates,) to start from.
 
-    Candidates that are not usable (n_candidates,) keep weight 0. `kinds` are numbers, (n_candidates,); default: one
-    kind.
+    Candidates that are not usable keep weight 0.
     """
-    weights = chosen.astype(float)
-    kinds = np.broadcast_to(np.intp(0), len(problem)) if kinds is None else kinds
+    weights, kinds, usable = chosen.astype(float), spacing.kind, spacing.usable
     counts = np.bincount(kinds[chosen], minlength=int(np.max(kinds)) + 1)
     lowest = np.inf
     for _ in range(_ROUNDS):

@@ -15,7 +15,7 @@ Reference: bhatia1997, sections II.5 and III.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -75,17 +75,6 @@ def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> d
     return values
 
 
-def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter], *, lengths: bool = True) -> FloatArray:
-    """Return the Jacobian in the units of tables, as in the paper: mm per unit of each parameter (mm or deg).
-
-    Args:
-        jacobian: d(positions)/d(parameters), (..., n_parameters) [m per m or rad].
-        lengths: Whether rows are lengths [m]; rows divided by their noise have no unit, and are not converted.
-    """
-    per_unit = np.array([1.0 / parameter.per_si for parameter in parameters])
-    return (PER_SI["length"]["mm"] if lengths else 1.0) * jacobian * per_unit
-
-
 def observability_of(
     rows: FloatArray, parameters: Sequence[Parameter], n_poses: int, *, lengths: bool = True
 ) -> tuple[dict[str, float], dict[str, float]]:
@@ -98,10 +87,10 @@ def observability_of(
         n_poses: Number of poses behind the rows.
         lengths: Whether rows are lengths; rows divided by their noise give indices without unit.
     """
-    width = rows.shape[-1]
-    scales = np.array([parameter.sigma_si for parameter in parameters])
-    scaled = numerical_rank(rows.reshape(-1, width))
-    raw = numerical_rank(raw_columns(rows / scales, parameters, lengths=lengths).reshape(-1, width))
+    flat = rows.reshape(-1, rows.shape[-1])
+    per_unit = np.array([parameter.sigma for parameter in parameters])
+    scaled = numerical_rank(flat)
+    raw = numerical_rank((PER_SI["length"]["mm"] if lengths else 1.0) * flat / per_unit)
     kept = slice(max(scaled.rank, 1))
     return observability(scaled.singular_values[kept], n_poses), observability(raw.singular_values[kept], n_poses)
 

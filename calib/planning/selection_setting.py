@@ -84,10 +84,6 @@ class SelectionSetting:
         """Return the index of a choice with this score; the task index in m."""
         return index_of_score(self.problem, self.index, score, self.count, self.sigma)
 
-    def largest(self, values: FloatArray | IntArray, counts: IntArray) -> list[IntArray]:
-        """Return for each kind the `counts` (n_kinds,) candidates with the largest values (n_candidates,)."""
-        return largest(values, self.space.kind, counts)
-
     def _usable_by_kind(self) -> list[tuple[IntArray, int]]:
         """The usable candidates of each kind, (n,), and the requested number of them."""
         usable = np.flatnonzero(self.space.usable)
@@ -192,7 +188,7 @@ def require_count(setting: SelectionSetting) -> None:
     problem = setting.problem
     missing = problem.pose_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
     n_read = np.where(usable, setting.pairs.n_read, 0)
-    n_values = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
+    n_values = int(sum(np.sum(n_read[best]) for best in largest(n_read, space.kind, setting.counts)))
     if n_values < missing:
         raise InputError(
             f"count {setting.count}: {n_values} measured values cannot determine {missing} parameters;"

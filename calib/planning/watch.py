@@ -45,7 +45,7 @@ from calib.planning.pose_sampling import sample
 from calib.planning.predicted_error import RootMeanSquare, predicted_rms
 from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
 from calib.shared.candidates import require_free
-from calib.shared.free_poses import free_poses
+from calib.shared.pose_check import free_poses
 
 CANDIDATES = 300
 """Number of sampled candidates if none are given."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from calib.core.numerics.identifiability import reduce_rows
 from calib.core.robots.configurations import Configurations, near_singularity, solve_configurations
 from calib.core.robots.jacobian import linearise
 from calib.core.robots.joint_errors import term_columns
-from calib.core.robots.loops import LoopSolution, why_open
+from calib.core.robots.loops import why_open
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed, observe, planned_readings, predict_readings
 from calib.core.rows.rows import Rows
@@ -35,7 +35,6 @@ _MEASURED_AGAIN = 1e-4
 WHITENED = 1.0
 """Unit of rows if no instrument measures a length; otherwise the noise of a length is the unit."""
 _SHOWN = 10
-_MIXING = 0x9E3779B97F4A7C15 - 2**64  # factor that mixes the numbers of columns: odd, and far from a power of two
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,27 +174,27 @@ def _positions(
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Poses that may be measured.
+    """Assembled candidates.
 
     Attributes:
-        joints: (n, n_actuated) [m or rad].
         pose_rows: Rows and positions of all; rows 0 and positions NaN where not usable. `position_rows` is reduced to R
             (`calib.core.numerics.identifiability.reduce_rows`), (at most n_parameters, n_parameters) [m].
         usable: Mask of the poses that can be assembled far enough from singularities, (n,).
         skipped: Label of each pose that is not usable, and the reason.
     """
 
-    joints: FloatArray
     pose_rows: PoseRows
     usable: BoolArray
     skipped: tuple[str, ...]
 
 
-def configurations_at(
-    robot: Robot, q: FloatArray, closed: LoopSolution, columns: tuple[FloatArray, ...], which: IntArray
-) -> Configurations:
-    """Return some of the closed poses (k,) of commands q (n, n_actuated), with the columns of their joint terms."""
-    return solve_configurations(robot, q[which], closed.select(which), tuple(phi[which] for phi in columns))
+def reachable_configurations(robot: Robot, poses: Poses) -> tuple[IntArray, Configurations]:
+    """Return the indices of the poses at which the loops close, ascending, (k,), and the robot there."""
+    columns = term_columns(robot, poses.joints, poses.conditions)
+    closed = robot.close(poses.joints, columns=columns)
+    reached = np.flatnonzero(closed.ok)
+    phi = tuple(column[reached] for column in columns)
+    return reached, solve_configurations(robot, poses.joints[reached], closed.select(reached), phi)
 
 
 def build_candidates(
@@ -221,29 +220,27 @@ def build_candidates(
     position_rows: FloatArray = np.zeros((0, len(unknowns)))
     usable, reasons = np.zeros(n, dtype=bool), list[str]()
     for start in range(0, n, _PART):
-        part_poses = poses.subset(np.arange(start, min(start + _PART, n)))
-        q = part_poses.joints
-        columns = term_columns(robot, q, part_poses.conditions)
-        closed = robot.close(q, columns=columns)
-        good = np.flatnonzero(closed.ok)
-        distance = np.zeros(len(q))
-        distance[good] = robot.singular_values(configurations_at(robot, q, closed, columns, good))
-        good = np.flatnonzero(distance >= robot.description.singularity_limit)
-        configurations = configurations_at(robot, q, closed, columns, good)
-        looks = planned_readings(robot, part_poses.subset(good))
-        part = rows_of_poses(robot, configurations, sigma, unknowns, looks, blocks)
-        positions[start : start + len(q)] = np.nan
+        some = poses.subset(np.arange(start, min(start + _PART, n)))
+        reached, configurations = reachable_configurations(robot, some)
+        distance = np.full(len(some), np.nan)
+        distance[reached] = robot.singular_values(configurations)
+        far = np.flatnonzero(distance[reached] >= robot.description.singularity_limit)
+        good = reached[far]
+        looks = planned_readings(robot, some.subset(good))
+        part = rows_of_poses(robot, configurations.select(far), sigma, unknowns, looks, blocks)
+        positions[start : start + len(some)] = np.nan
         rows[start + good], read[start + good], positions[start + good] = part.rows, part.read, part.positions
         position_rows = reduce_rows(np.vstack([position_rows, part.position_rows.reshape(-1, len(unknowns))]))
         usable[start + good] = True
-        if len(good) < len(q):
-            reasons += _reasons(robot, q, closed.ok, distance, part_poses.labels, len(reasons))
+        if len(good) < len(some):
+            reasons += _reasons(robot, some, distance, len(reasons))
     if reasons and not skip_unreachable:
+        more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
         raise UnreachablePoseError(
-            _list_reasons(reasons) + "; remove these poses, or leave them out with --skip-unreachable"
+            f"{'; '.join(reasons[:_SHOWN])}{more}; remove these poses, or leave them out with --skip-unreachable"
         )
     rows.flags.writeable = False  # holders need no copy
-    return Candidates(poses.joints, PoseRows(rows, read, blocks, positions, position_rows), usable, tuple(reasons))
+    return Candidates(PoseRows(rows, read, blocks, positions, position_rows), usable, tuple(reasons))
 
 
 def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -284,56 +281,33 @@ def positions_at(robot: Robot, configurations: Configurations) -> tuple[FloatArr
 def near_measured(candidates: FloatArray, measured: FloatArray) -> BoolArray:
     """Return a mask (n,) of the candidates (n, n_actuated) that are measured poses (k, n_actuated)."""
     gaps, _ = scipy.spatial.cKDTree(measured).query(candidates, p=np.inf)
-    result: BoolArray = gaps < _MEASURED_AGAIN
-    return result
+    return np.asarray(gaps < _MEASURED_AGAIN)
 
 
 def _require_different(poses: Poses) -> None:
     columns = [*poses.joints.T, *(() if poses.approach is None else poses.approach.T), *poses.context.values()]
-    key = np.zeros(len(poses), dtype=np.int64)
-    for column in columns:  # a number for each pose, equal where all columns are equal
-        key = key * _MIXING + _round(column)
-    ordered = np.sort(key)
-    some = np.flatnonzero(np.isin(key, ordered[1:][np.diff(ordered) == 0]))
-    if len(some) == 0:
-        return
-    rounded = np.stack([_round(column[some]) for column in columns], axis=1)
-    _, first, inverse = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    earlier = some[first[inverse.ravel()]]
-    again = np.flatnonzero(earlier != some)
+    rounded = np.round(np.nan_to_num(np.stack(columns)) / _SAME)
+    order = np.lexsort(rounded)
+    again = 1 + np.flatnonzero(np.all(np.diff(rounded[:, order]) == 0, axis=0))  # places in this order
     if len(again):
-        k, same = some[again[0]], earlier[again[0]]
+        place = again[np.argmin(order[again])]
         more = f" (and {len(again) - 1} more)" if len(again) > 1 else ""
         raise DataError(
-            f"{poses.labels[k]}{more}: the same joint values as {poses.labels[same]},"
-            " under the same conditions;"
-            " each candidate can be chosen once, so give it once"
+            f"{poses.labels[order[place]]}{more}: the same joint values as {poses.labels[order[place - 1]]},"
+            " under the same conditions; each candidate can be chosen once, so give it once"
         )
 
 
-def _round(values: FloatArray) -> IntArray:
-    return np.round(np.nan_to_num(values) / _SAME).astype(np.int64)
-
-
-def _reasons(
-    robot: Robot, q: FloatArray, ok: BoolArray, distance: FloatArray, labels: Sequence[str], already: int
-) -> list[str]:
-    limit = robot.description.singularity_limit
-    reasons: list[str] = []
-    for k in (int(number) for number in np.flatnonzero(distance < limit)):
-        if ok[k]:
-            reasons.append(near_singularity(labels[k], distance[k], limit))
+def _reasons(robot: Robot, poses: Poses, distance: FloatArray, already: int) -> list[str]:
+    """Why poses cannot be used, by their distance to a singularity, (n,); NaN where the loops are open."""
+    limit, reasons = robot.description.singularity_limit, list[str]()
+    for k in np.flatnonzero(~(distance >= limit)).tolist():
+        if np.isfinite(distance[k]):
+            reasons.append(near_singularity(poses.labels[k], distance[k], limit))
             continue
-        shown = already + len(reasons) < _SHOWN  # each needs a search: not for thousands
-        why = (
-            f" ({why_open(robot.mechanism, robot.mode, robot.mechanism.without_tilts(q[k : k + 1])[0])})"
-            if shown
-            else ""
-        )
-        reasons.append(f"{labels[k]}: cannot be assembled{why}")
+        why = ""
+        if already + len(reasons) < _SHOWN:  # each needs a search: not for thousands
+            joints = robot.mechanism.without_tilts(poses.joints[k : k + 1])[0]
+            why = f" ({why_open(robot.mechanism, robot.mode, joints)})"
+        reasons.append(f"{poses.labels[k]}: cannot be assembled{why}")
     return reasons
-
-
-def _list_reasons(reasons: Sequence[str]) -> str:
-    more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
-    return "; ".join(reasons[:_SHOWN]) + more

@@ -493,7 +493,7 @@ def test_legs_that_slide_are_rods_on_both_sides(tmp_path):
     scene = surroundings(calib.load(copied(tmp_path, EXAMPLES / "stewart.yaml", more=ball))).scene
     assert {"leg_1_cylinder - ball", "leg_1_tip - ball"} <= set(_names(scene))
     rods = [body for body in scene.bodies if body.name in ("leg_1_cylinder", "leg_1_tip")]
-    assert [2 * body.hull.halfLength for body in rods] == pytest.approx([0.4433621868572532] * 2)
+    assert [2 * body.solid.hull.halfLength for body in rods] == pytest.approx([0.4433621868572532] * 2)
 
 
 @pytest.mark.quick(0)

@@ -12,7 +12,6 @@ from calib.core.numerics.observability import observability
 from calib.core.robots.jacobian import linearise
 from calib.planning.instrument_choice import groups_of, pairs_of
 from calib.planning.selection import select
-from calib.planning.selection_scores import raw_columns
 from calib.shared.candidates import build_candidates
 from medrue.workspace import target_workspace
 from tests.small_robots import small_arm, write_arm
@@ -72,7 +71,7 @@ def test_the_chosen_poses_have_the_indices_that_are_told(medrue, by_o1):
     assert {name: by_o1.after[name] for name in expected} == pytest.approx(expected, rel=1e-9)
     free = [p for p, use in zip(medrue.parameters, medrue.is_free, strict=True) if use]
     jacobian = linearise(medrue, medrue.assemble(by_o1.joints)).jacobian[..., medrue.is_free]
-    raw = np.linalg.svd(raw_columns(jacobian, free).reshape(-1, 28), compute_uv=False)
+    raw = np.linalg.svd(1e3 * (jacobian / [p.per_si for p in free]).reshape(-1, 28), compute_uv=False)
     assert by_o1.raw == pytest.approx(observability(raw, 84), rel=1e-9)
     uniform = observability(singular_values(medrue, Q[2::5]), 84)
     assert {name: by_o1.before[name] for name in uniform} == pytest.approx(uniform, rel=1e-9)

@@ -31,7 +31,7 @@ def mask_of(chosen, n=N):
 def test_no_subset_exceeds_the_bound(index, known):
     for seed in range(8):
         problem = made_up(seed, known=known)
-        bound = relax(problem, index, mask_of(range(COUNT)), np.ones(N, dtype=bool)).log_bound
+        bound = relax(problem, index, mask_of(range(COUNT)), Spacing.free(np.ones(N, dtype=bool))).log_bound
         best = max(
             log_phi(problem, index, problem.information_of(mask_of(c).astype(float)))
             for c in combinations(range(N), COUNT)
@@ -43,7 +43,7 @@ def test_no_subset_exceeds_the_bound(index, known):
 @pytest.mark.parametrize("index", CERTIFIED)
 def test_weights_are_feasible_and_attain_the_bound(index):
     problem = made_up(1, n=60)
-    relaxed = relax(problem, index, mask_of(range(15), 60), np.ones(60, dtype=bool))
+    relaxed = relax(problem, index, mask_of(range(15), 60), Spacing.free(np.ones(60, dtype=bool)))
     assert relaxed.weights.min() >= 0
     assert relaxed.weights.max() <= 1
     assert relaxed.weights.sum() == pytest.approx(15, abs=1e-9)
@@ -71,7 +71,7 @@ def test_candidates_that_may_not_be_chosen_do_not_lift_the_bound():
     usable = np.ones(N, dtype=bool)
     strongest = np.argsort(-np.sum(problem.rows**2, axis=(1, 2)))[:3]
     usable[strongest] = False
-    relaxed = relax(problem, "O1", mask_of(np.flatnonzero(usable)[:COUNT]), usable)
+    relaxed = relax(problem, "O1", mask_of(np.flatnonzero(usable)[:COUNT]), Spacing.free(usable))
     assert relaxed.weights[strongest].sum() == 0
     best = max(
         log_phi(problem, "O1", problem.information_of(mask_of(c).astype(float)))
@@ -83,7 +83,7 @@ def test_candidates_that_may_not_be_chosen_do_not_lift_the_bound():
 def test_choosing_everything_is_certainly_best():
     problem = made_up(6)
     everything = np.ones(N, dtype=bool)
-    relaxed = relax(problem, "O1", everything, everything)
+    relaxed = relax(problem, "O1", everything, Spacing.free(everything))
     reached = log_phi(problem, "O1", problem.information_of(np.ones(N)))
     assert reached == pytest.approx(relaxed.log_bound, abs=2e-12)
 
@@ -92,7 +92,7 @@ def test_many_candidates_are_certified_by_few_unclear_ones():
     problem = made_up(7, n=3000, d=8)
     space = Spacing.free(np.ones(3000, dtype=bool))
     done = swap(exchange(problem, "O1", uniform_start(np.arange(3000), 60), space), space)
-    relaxed = relax(problem, "O1", done.chosen, space.usable)
+    relaxed = relax(problem, "O1", done.chosen, space)
     reached = log_phi(problem, "O1", problem.information_of(done.chosen.astype(float)))
     assert np.exp(0.5 * (reached - relaxed.log_bound)) > 0.999
 
@@ -103,7 +103,7 @@ def test_the_task_is_bounded_although_the_best_weights_leave_out_what_it_does_no
     rows = np.concatenate([rows, np.tile(1e-3 * free[D:], (2, 3, 1))])  # two readings of a zero that the task lacks
     problem = build_problem(rows, task_rows=rows[:N])
     determined = mask_of([*range(COUNT), N], N + 2)
-    bound = relax(problem, TASK, determined, np.ones(N + 2, dtype=bool)).log_bound
+    bound = relax(problem, TASK, determined, Spacing.free(np.ones(N + 2, dtype=bool))).log_bound
     alone = build_problem(rows[:N, :, :D], task_rows=rows[:N, :, :D])
     best = max(
         log_phi(alone, TASK, alone.information_of(mask_of(c).astype(float))) for c in combinations(range(N), COUNT + 1)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.base.parameter import Parameter
 from calib.core.numerics.observability import observability
 from calib.planning.selection_problem import TASK, build_problem
-from calib.planning.selection_scores import CHOICES, index_of_score, index_values, raw_columns, scores
+from calib.planning.selection_scores import CHOICES, index_of_score, index_values, scores
 
 N, K, D = 14, 3, 6
 
@@ -16,13 +15,6 @@ def made_up(seed=0, n=N, k=K, d=D):
     rng = np.random.default_rng(seed)
     rows = rng.standard_normal((n, k, d)) * np.array([1.0, 0.3, 2.0, 0.1, 1.0, 0.5])[:d]
     return rows, rng.standard_normal((5, k, d))
-
-
-def test_raw_columns_are_in_millimetres_per_unit_of_table():
-    length = Parameter("a", "length", 0.1, 2e-3, "mm")
-    angle = Parameter("b", "angle", 0.0, 0.02, "deg")
-    # 1 m per m is 1 mm per mm; 1 m per rad is 17.45 mm per degree
-    np.testing.assert_allclose(raw_columns(np.array([1.0, 1.0]), (length, angle)), [1.0, 1e3 * np.pi / 180], rtol=1e-15)
 
 
 def plain_value(rows, task, chosen, index, sigma=1.0, known=None):

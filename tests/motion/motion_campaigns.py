@@ -136,11 +136,6 @@ class Solid:
     radius: float
     is_obstacle: bool = False
 
-    def holds(self, point):
-        """Whether a point, in its axes, is inside; only where it is convex."""
-        normals, corners = self.mesh.face_normals, self.mesh.triangles[:, 0]
-        return self.mesh.is_convex and bool(np.all(np.einsum("ij,ij->i", normals, point - corners) < 0))
-
 
 def _solid(owner, place, mesh, is_obstacle=False):
     shape, (low, high) = fcl.BVHModel(), mesh.bounds
@@ -257,7 +252,7 @@ class Checker:
         return motion
 
     def _relative(self, values):
-        """Yield pairs whose spheres meet, where they do (n,), and T_b_a, (n, 4, 4)."""
+        """Yield pairs whose spheres meet anywhere, and T_b_a, (n, 4, 4)."""
         T = self.frames(values)
         n = len(next(iter(T.values())))
         placed = [solid.place[None] if solid.is_obstacle else T[solid.owner] @ solid.place for solid in self.solids]
@@ -266,28 +261,18 @@ class Checker:
             id(solid): place[id(solid)][:, :3, :3] @ solid.middle + place[id(solid)][:, :3, 3] for solid in self.solids
         }
         for a, b in self.pairs:
-            near = np.linalg.norm(middles[id(a)] - middles[id(b)], axis=1) <= a.radius + b.radius
-            if np.any(near):
-                yield a, b, near, _inverse(place[id(b)]) @ place[id(a)]
-
-    def contacts(self, values):
-        """Return whether any pair touches, or is one inside the other, (n,)."""
-        result = np.zeros(len(next(iter(values.values()))), dtype=bool)
-        for a, b, near, T in self._relative(values):
-            for k in np.flatnonzero(near & ~result):
-                inside = b.holds(T[k, :3, :3] @ a.mesh.vertices[0] + T[k, :3, 3])
-                inside = inside or a.holds(T[k, :3, :3].T @ (b.mesh.vertices[0] - T[k, :3, 3]))
-                result[k] = inside or fcl.collide(*_placed(a, b, T[k]), fcl.CollisionRequest(), fcl.CollisionResult())
-        return result
+            if np.any(np.linalg.norm(middles[id(a)] - middles[id(b)], axis=1) <= a.radius + b.radius):
+                yield a, b, _inverse(place[id(b)]) @ place[id(a)]
 
     def _distance(self, a, b, T):
         self.looks += 1
-        return fcl.distance(*_placed(a, b, T), fcl.DistanceRequest(), fcl.DistanceResult())
+        placed = fcl.CollisionObject(a.shape, fcl.Transform(T[:3, :3], T[:3, 3])), fcl.CollisionObject(b.shape)
+        return fcl.distance(*placed, fcl.DistanceRequest(), fcl.DistanceResult())
 
     def walk(self, values):
         """Return the pairs that touch at steps {name: values (n,)} or, where they come near, at ten between two."""
         found = set()
-        for a, b, _, T in self._relative(values):
+        for a, b, T in self._relative(values):
             corners = np.array(list(itertools.product(*a.mesh.bounds.T)))
             points = T[:, :3, :3] @ corners.T + T[:, :3, 3:]
             moved = ARC * np.sqrt(np.max(np.sum(np.diff(points, axis=0) ** 2, axis=1), axis=1))
@@ -318,15 +303,6 @@ def _inverse(T):
     return result
 
 
-def _placed(a, b, T):
-    return fcl.CollisionObject(a.shape, fcl.Transform(T[:3, :3], T[:3, 3])), fcl.CollisionObject(b.shape)
-
-
-def scene_names(scene):
-    """Return the pairs of names that a scene looks at."""
-    return {frozenset((scene.bodies[a].name, scene.bodies[b].name)) for a, b in scene.pairs}
-
-
 def values_at(robot, scene, q):
     """Return the values of joints at commands (n, n_actuated) by name: with loops, of all, which must close."""
     if not robot.mechanism.loops:
@@ -340,7 +316,8 @@ def checker_of(robot, scene, obstacles):
     """Return the checker of a robot's URDF, with the pairs of a scene."""
     home = dict(zip(robot.mechanism.origin_names, robot.mechanism.constant, strict=True))
     urdf = Path(robot.urdf.path)
-    return Checker(urdf, home, obstacles, scene_names(scene), solids(urdf) or capsules(urdf, robot))
+    looked_at = {frozenset(scene.bodies[k].name for k in pair) for pair in scene.pairs}
+    return Checker(urdf, home, obstacles, looked_at, solids(urdf) or capsules(urdf, robot))
 
 
 def gap_of_loops(robot, checker, values):
@@ -367,30 +344,19 @@ def boxes_around(robot, rng, count=2):
 
 
 @lru_cache(1)
-def scene_around(path, seed, **keys):
-    """Return a robot among random boxes that leave its home free, and the obstacles; MedRUE at its leg."""
-    plain, rng = load(path, obstacles="unchecked"), np.random.default_rng(seed)
-    clearance = {} if not keys else {"clearance": 0}
+def checked_scene(path, seed):
+    """Return a robot among random boxes that leave its home free, its scene, and the checker; MedRUE at its leg."""
+    plain, rng, is_medrue = load(path, obstacles="unchecked"), np.random.default_rng(seed), path.stem == "medrue"
     for _ in range(50):
-        count = 1 if path.stem == "medrue" else 2
-        obstacles = {name: box | clearance for name, box in boxes_around(plain, rng, count).items()}
-        if path.stem == "medrue":
-            obstacles["leg"] = LEG | clearance
-        robot = load(path, obstacles=obstacles, **keys)
+        obstacles = boxes_around(plain, rng, 1 if is_medrue else 2) | ({"leg": LEG} if is_medrue else {})
+        robot = load(path, obstacles=obstacles)
         try:
-            if not surroundings(robot).scene.hits(robot.home[None])[0]:
-                return robot, obstacles
+            scene = surroundings(robot).scene
         except CalibrationError:  # a box around the base
             continue
+        if not scene.hits(robot.home[None])[0]:
+            return robot, scene, checker_of(robot, scene, obstacles)
     raise RuntimeError(f"{path}: no boxes leave home free")
-
-
-@lru_cache(1)
-def checked_scene(path, seed):
-    """Return a robot among random boxes, its scene, and the checker."""
-    robot, obstacles = scene_around(path, seed)
-    scene = surroundings(robot).scene
-    return robot, scene, checker_of(robot, scene, obstacles)
 
 
 def campaign(path, seed, n_poses=5):
@@ -423,14 +389,6 @@ def campaign(path, seed, n_poses=5):
     }
 
 
-def shares(path, seed, n=1000):
-    """Return which of random poses touch something, by the engine, and by the checker, no clearance kept."""
-    robot, obstacles = scene_around(path, seed, self_clearance=0)
-    scene, q = surroundings(robot).scene, robot.sample(n, seed)
-    ours = np.array([bool(hit) for hit in scene.hits(q)])
-    return ours, checker_of(robot, scene, obstacles).contacts(values_at(robot, scene, q))
-
-
 def main():
     """Run campaigns, one robot after the other in each round, and write a line of JSON for each."""
     parser = argparse.ArgumentParser(description="Walk routes of robots step by step, with shapes looked at by FCL.")
@@ -444,18 +402,14 @@ def main():
     if given.out.exists():
         done = {(row["robot"], row["seed"]) for row in map(json.loads, given.out.read_text().splitlines())}
     starts = range(0, given.campaigns, POSES_IN_A_SCENE)
-    rounds = [range(-1, 0)] + [range(k, min(k + POSES_IN_A_SCENE, given.campaigns)) for k in starts]  # -1: shares
+    rounds = [range(k, min(k + POSES_IN_A_SCENE, given.campaigns)) for k in starts]
     tasks = [(seed, name) for seeds in rounds for name in given.robots or ROBOTS for seed in seeds]
     for seed, name in tasks[given.first :: given.step]:
         if (name, seed) in done:
             continue
         started = time.process_time()
         try:
-            if seed < 0:
-                ours, theirs = shares(source(name), 1)
-                what = {"ours": ours.mean(), "theirs": theirs.mean(), "differ": int(np.sum(ours != theirs))}
-            else:
-                what = campaign(source(name), seed)
+            what = campaign(source(name), seed)
         except Exception as error:  # said, and the next one
             what = {"error": f"{type(error).__name__}: {error}"[:300]}
         row = {"robot": name, "seed": seed} | what | {"seconds": round(time.process_time() - started, 1)}

@@ -22,7 +22,6 @@ from functools import cached_property
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.errors import require_known
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import PER_SI
 from calib.core.numerics import linalg
@@ -40,17 +39,11 @@ def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: floa
     """Return the scores of a choice (n_candidates,) by an index of `CHOICES`.
 
     A ridge on the diagonal of K lets a choice that determines too little be improved.
-
-    Raises:
-        InputError: Unknown index.
     """
     gathered = problem.information_of(chosen.astype(float)) + ridge * np.eye(len(problem.strengths))
     if index == "O1":
         return DeterminantScores.from_problem(problem, gathered)
-    if index == TASK:
-        return TaskScores(problem, gathered)
-    require_known(index, CHOICES, "unknown index")
-    return Spectrum(problem, gathered, index)
+    return TaskScores(problem, gathered) if index == TASK else Spectrum(problem, gathered, index)
 
 
 def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> dict[str, float]:

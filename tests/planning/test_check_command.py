@@ -79,8 +79,9 @@ def test_instruments_without_lengths_have_no_noise_in_mm_and_samples_one_setup(r
 
 
 def test_what_is_not_determined_is_said(run_calib, tmp_path):
-    write_arm(tmp_path, ARM_YAML + "priors: false\n")
-    run = run_calib("check", tmp_path / "arm.yaml", "--verbose", "--json", tmp_path / "out.json")
+    run = run_calib(
+        "check", write_arm(tmp_path, ARM_YAML + "priors: false\n"), "--verbose", "--json", tmp_path / "out.json"
+    )
     assert run.code == 0, run.err
     assert "NOT determined." in run.out
     assert "unbounded" in run.out

@@ -243,8 +243,6 @@ def test_a_plan_is_checked_simulated_and_fitted(planned, run_calib):
         (("--count", "tracker=3,bar"), None, "--count tracker=3,bar: must be a number, or one for each"),
         (("--count", "many"), None, "--count many: must be a number"),
         (("--count", "tracker=3,tracker=4"), None, "name each instrument, or each group of them, once"),
-        (("--count", "9", "--instruments", "wire"), None, "no instrument 'wire'"),
-        (("--count", "9", "--instruments", "each"), (",probe,", ",prob,"), "add a column 'probe' that names it"),
         (("--count", "9"), (",left,", ",lift,"), "column 'probe': 'probe' touches nothing called 'lift'"),
         (("--count", "9"), ("remark", "instrument"), "column 'instrument': no instrument 'as it was'"),
     ],

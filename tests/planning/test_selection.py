@@ -27,9 +27,8 @@ def by_o1(medrue):
 
 def singular_values(robot, q, *, raw=False):
     """Of the Jacobian by parameters in units of their sigma [m]; `raw`: in mm per unit of table."""
-    jacobian = linearise(robot, robot.assemble(q)).jacobian
-    jacobian *= [1e3 / p.per_si if raw else p.sigma_si for p in robot.parameters]
-    rows = jacobian[..., robot.is_free]
+    scale = [1e3 / p.per_si if raw else p.sigma_si for p in robot.parameters]
+    rows = (linearise(robot, robot.assemble(q)).jacobian * scale)[..., robot.is_free]
     return np.linalg.svd(rows.reshape(-1, rows.shape[-1]), compute_uv=False)
 
 

@@ -20,9 +20,13 @@ def made_up(seed, n=N, d=D, known=None):
 
 
 def mask_of(chosen, n=N):
-    mask = np.zeros(n, dtype=bool)
-    mask[list(chosen)] = True
-    return mask
+    return np.isin(np.arange(n), list(chosen))
+
+
+def best_of_all(problem, index, among=range(N), count=COUNT):
+    """The largest log phi of all subsets."""
+    masks = (mask_of(subset, len(problem)).astype(float) for subset in combinations(among, count))
+    return max(log_phi(problem, index, problem.information_of(mask)) for mask in masks)
 
 
 @pytest.mark.quick(1)
@@ -32,10 +36,7 @@ def test_no_subset_exceeds_the_bound(index, known):
     for seed in range(8):
         problem = made_up(seed, known=known)
         bound = relax(problem, index, mask_of(range(COUNT)), Spacing.free(np.ones(N, dtype=bool))).log_bound
-        best = max(
-            log_phi(problem, index, problem.information_of(mask_of(c).astype(float)))
-            for c in combinations(range(N), COUNT)
-        )
+        best = best_of_all(problem, index)
         assert best <= bound + 1e-12
         assert bound <= best + 0.3  # and it says something: a quarter of the index at most, on so few poses
 
@@ -54,15 +55,10 @@ def test_weights_are_feasible_and_attain_the_bound(index):
 @pytest.mark.parametrize("index", CERTIFIED)
 def test_phi_goes_with_the_index(index):
     problem = made_up(4)
-    values = [
-        (
-            log_phi(problem, index, problem.information_of(mask_of(c).astype(float))),
-            index_values(problem, mask_of(c), 1.0)[index],
-        )
-        for c in ([0, 1, 2, 3], [4, 5, 6, 7])
-    ]
-    ratio = values[0][1] / values[1][1]
-    expected = np.exp(0.5 * (values[0][0] - values[1][0]))
+    masks = mask_of([0, 1, 2, 3]), mask_of([4, 5, 6, 7])
+    first, second = (index_values(problem, mask, 1.0)[index] for mask in masks)
+    logs = [log_phi(problem, index, problem.information_of(mask.astype(float))) for mask in masks]
+    ratio, expected = first / second, np.exp(0.5 * (logs[0] - logs[1]))
     assert (1 / ratio if index == TASK else ratio) == pytest.approx(expected, rel=1e-9)
 
 
@@ -73,11 +69,7 @@ def test_candidates_that_may_not_be_chosen_do_not_lift_the_bound():
     usable[strongest] = False
     relaxed = relax(problem, "O1", mask_of(np.flatnonzero(usable)[:COUNT]), Spacing.free(usable))
     assert relaxed.weights[strongest].sum() == 0
-    best = max(
-        log_phi(problem, "O1", problem.information_of(mask_of(c).astype(float)))
-        for c in combinations(np.flatnonzero(usable), COUNT)
-    )
-    assert best <= relaxed.log_bound + 1e-12
+    assert best_of_all(problem, "O1", np.flatnonzero(usable)) <= relaxed.log_bound + 1e-12
 
 
 def test_choosing_everything_is_certainly_best():
@@ -105,7 +97,5 @@ def test_the_task_is_bounded_although_the_best_weights_leave_out_what_it_does_no
     determined = mask_of([*range(COUNT), N], N + 2)
     bound = relax(problem, TASK, determined, Spacing.free(np.ones(N + 2, dtype=bool))).log_bound
     alone = build_problem(rows[:N, :, :D], task_rows=rows[:N, :, :D])
-    best = max(
-        log_phi(alone, TASK, alone.information_of(mask_of(c).astype(float))) for c in combinations(range(N), COUNT + 1)
-    )
+    best = best_of_all(alone, TASK, count=COUNT + 1)
     assert best <= bound <= best + 0.3

@@ -55,14 +55,10 @@ def search(
     is_free_move: Callable[[FloatArray, FloatArray], bool],
     most_checks: int,
 ) -> FloatArray | None:
-    """Return the corners of a free path, including both ends, (n, n_actuated); None if none was found.
+    """Return the corners of a free path between free commands (n_actuated,) [m or rad]; None if none was found.
 
-    Args:
-        start, end: Free commands, (n_actuated,) [m or rad].
-        limits: Limits of the joints, (n_actuated, 2).
-        is_free: Whether a command is free.
-        is_free_move: Whether the straight move between two commands is free.
-        most_checks: Largest number of moves to check.
+    It includes both ends, (n, n_actuated), and stays within the limits (n_actuated, 2). At most `most_checks` moves are
+    checked.
     """
     n = len(start)
     space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)

@@ -102,10 +102,8 @@ class Planner:
     """Finds paths in a scene.
 
     Attributes:
-        scene: The scene.
         nodes: Free poses of the roadmap, all different, (n, n_actuated) [m or rad].
         limits: Limits of the joints, (n_actuated, 2) [m or rad].
-        seed: Seed of random numbers.
         checked_moves: Checked moves by their ends.
         here: The robot's present node.
     """
@@ -148,12 +146,8 @@ class Planner:
     def free_path(self, start: int, end: int, *, searched: bool = True) -> FloatArray | None:
         """Return the corners of a free path between two nodes, including both, (n, n_actuated); None: none found.
 
-        Args:
-            start, end: Indices of the nodes.
-            searched: Whether OMPL searches where the roadmap ends, which is slow.
-
-        Raises:
-            InputError: OMPL is needed, and not installed.
+        Where the roadmap ends, OMPL searches if that is wanted, which is slow; if it is not installed, that is an
+        `InputError`.
         """
         if self._is_free(start, end):
             return self.nodes[[start, end]]

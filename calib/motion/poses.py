@@ -83,11 +83,7 @@ def surroundings(robot: Robot) -> Sight:
 
 
 def what_hits(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
-    """Return the colliding pair, or the hiding shape, at commands (n, n_actuated) [m or rad], (n,); "" for none.
-
-    Raises:
-        DescriptionError: See `surroundings`.
-    """
+    """Return the colliding pair, or the hiding shape, at commands (n, n_actuated) [m or rad], (n,); "" for none."""
     sight = surroundings(robot)
     hits = np.array(sight.scene.hits(joints), dtype=object)
     free = np.flatnonzero(hits == "")
@@ -97,11 +93,7 @@ def what_hits(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
 
 
 def check_poses(robot: Robot, joints: FloatArray) -> PoseCheck:
-    """Return the check of commands (n, n_actuated) [m or rad]; see `calib.shared.pose_check`.
-
-    Raises:
-        DescriptionError: See `surroundings`.
-    """
+    """Return the check of commands (n, n_actuated) [m or rad]; see `calib.shared.pose_check`."""
     unchecked = why_unchecked(robot)
     if unchecked:
         return PoseCheck(("",) * len(joints), (), unchecked)
@@ -109,11 +101,7 @@ def check_poses(robot: Robot, joints: FloatArray) -> PoseCheck:
 
 
 def build_scene(robot: Robot) -> CollisionScene:
-    """Return the scene of a robot, with the pairs to check.
-
-    Raises:
-        DescriptionError: A mesh is missing, an SRDF is of another robot, or an obstacle surrounds the robot.
-    """
+    """Return the scene of a robot, with the pairs to check."""
     scene = all_shapes(robot)
     disabled = _disabled_pairs(robot)
     names = [frozenset(scene.bodies[k].name for k in pair) for pair in scene.pairs]

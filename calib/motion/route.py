@@ -68,9 +68,7 @@ class Route:
     """Stops in order, from the robot's start.
 
     Attributes:
-        robot: The robot.
-        start: Its first joint values, (n_actuated,) [m or rad].
-        stops: The stops.
+        start: The robot's first joint values, (n_actuated,) [m or rad].
         left_out: Reason for each pose that is not visited, by name.
         replaced: Names of the candidates that replace them.
         remarks: Notes on unchecked shapes.

@@ -43,8 +43,6 @@ class CollisionScene:
     """Shapes, and the pairs of shapes whose distances are computed.
 
     Attributes:
-        robot: The robot.
-        bodies: The shapes.
         pairs: Indices of the two shapes of each pair.
         remarks: Notes on the shapes of links, and on unchecked pairs.
         without_clearance: Pairs that keep no clearance.
@@ -211,11 +209,7 @@ def moving_between(robot: Robot, a: IntArray, b: IntArray) -> IntArray:
 
 
 def all_shapes(robot: Robot) -> CollisionScene:
-    """Return all shapes of a robot, with every pair of shapes that can move relative to each other.
-
-    Raises:
-        DescriptionError: See `calib.motion.shapes.bodies_of`.
-    """
+    """Return all shapes of a robot, with every pair of shapes that can move relative to each other."""
     bodies, remarks = bodies_of(robot)
     frames = np.array([body.joint for body in bodies], dtype=np.intp)
     a, b = np.triu_indices(len(bodies), 1)

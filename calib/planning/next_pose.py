@@ -71,7 +71,6 @@ def next_pose(
     Args:
         robot: The robot, linearised at its present values.
         candidates: Poses to choose from; the predicted error is over these.
-        measured: Measurements so far.
         present: Present joint values of the robot, (n_actuated,) [m or rad]; default: home.
         sigma: Noise of one reading per axis [m]; default: the description's.
         drawn: Draw a pose to check with from this generator.

@@ -180,7 +180,7 @@ def select(
         instruments=tuple(groups.names[g] for g in setting.pairs.group[chosen[order]] if groups.chosen),
         groups=groups.names if groups.chosen else (),
         joints=joints[order],
-        positions=setting.candidates.pose_rows.positions[pose[order]],
+        positions=setting.pose_rows.positions[pose[order]],
         before=index_values(setting.problem, uniform, setting.sigma),
         after=index_values(setting.problem, best.chosen, setting.sigma),
         raw=_raw(setting, setting.problem.rows[chosen]),
@@ -194,7 +194,7 @@ def select(
         rank_of_poses=setting.problem.pose_information.rank,
         sigma=setting.sigma,
         sigma_assumed=setting.sigma_assumed,
-        skipped=setting.candidates.skipped,
+        skipped=setting.pose_rows.skipped,
         already_measured=setting.already_measured,
         seed=seed,
         seconds=time.perf_counter() - started,
@@ -258,17 +258,15 @@ def _certify(
 ) -> tuple[tuple[Run, ...], Exchange, float, float]:
     """Bound all choices, start once more from the relaxed weights, and compare the best choice with the bound."""
     problem, index, usable = setting.problem, setting.index, setting.space.usable
-    relaxation = relax(problem, index, best.chosen, setting.space)
-    weights = np.where(usable, relaxation.weights, -1.0)
-    heaviest = np.concatenate(largest(weights, setting.space.kind, setting.counts))
-    weighted = np.flatnonzero(best.chosen | (relaxation.weights > 0))
-    searched = best_candidates(setting, gathered_by(problem, relaxation.weights), weighted)
+    log_bound, weights = relax(problem, index, best.chosen, setting.space)
+    heaviest = np.concatenate(largest(np.where(usable, weights, -1.0), setting.space.kind, setting.counts))
+    searched = best_candidates(setting, gathered_by(problem, weights), np.flatnonzero(best.chosen | (weights > 0)))
     starts = {"relaxed": np.sort(heaviest)}
     if len(searched.index) < searched.n_all:
         starts["best"] = np.flatnonzero(best.chosen)
     for more, run in _run(setting, searched, tuple(starts), tuple(starts.values())):
         best, runs = max(best, more, key=lambda exchange: exchange.scores.value), (*runs, run)
-    log_phis = relaxation.log_bound, log_phi(problem, index, problem.information_of(best.chosen.astype(float)))
+    log_phis = log_bound, log_phi(problem, index, problem.information_of(best.chosen.astype(float)))
     # scores by log phi: minus trace(W K^-1), log det K
     scores = (-float(np.exp(-each)) if index == TASK else len(problem.strengths) * each for each in log_phis)
     bound, value = map(setting.index_of_score, scores)

@@ -73,12 +73,8 @@ def observability_of(
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return O1 to O5 of poses, on scaled columns [m] and on raw ones (mm per unit of table).
 
-    Where the poses are short of rank, only non-zero singular values count.
-
-    Args:
-        rows: Scaled Jacobian, (..., n_parameters) [m]; leading axes are flattened.
-        n_poses: Number of poses behind the rows.
-        lengths: Whether rows are lengths; rows divided by their noise give indices without unit.
+    Rows are the scaled Jacobian, (..., n_parameters) [m], or, if they are not `lengths`, are divided by their noise and
+    give indices without unit. Where the poses are short of rank, only non-zero singular values count.
     """
     flat = rows.reshape(-1, rows.shape[-1])
     per_unit = np.array([parameter.sigma for parameter in parameters])

@@ -1,4 +1,8 @@
-"""Candidate poses: assembled, checked, turned into whitened rows, in parts, so that many fit in memory."""
+"""Candidate poses: assembled, checked, turned into whitened rows, in parts, so that many fit in memory.
+
+The robot is linearised at its present values. `sigma` is the noise of positions per axis in place of the stated one
+[m], or None; noise that nobody states is assumed (`calib.core.rows.whitening.ASSUMED`).
+"""
 
 from __future__ import annotations
 
@@ -48,7 +52,11 @@ class PoseRows:
         blocks: Rows of each instrument, by name.
         positions: Targets at the robot's present values, (n, n_targets, 3) [m].
         position_rows: Derivative of the targets in `RobotData.reported_targets` by the scaled parameters,
-            (n, 3 n_located, n_parameters) [m].
+            (n, 3 n_located, n_parameters) [m]; for candidates reduced to R, (at most n_parameters, n_parameters) [m]
+            (`calib.core.numerics.identifiability.reduce_rows`).
+        usable: Mask of the poses that can be assembled far enough from singularities, (n,); rows are 0 and positions
+            NaN at the others.
+        skipped: Label of each pose that is not usable, and the reason.
     """
 
     rows: FloatArray
@@ -56,6 +64,8 @@ class PoseRows:
     blocks: Mapping[str, slice]
     positions: FloatArray
     position_rows: FloatArray
+    usable: BoolArray
+    skipped: tuple[str, ...] = ()
 
 
 def require_free(robot: Robot) -> None:
@@ -68,13 +78,7 @@ def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     """Return the noise of one measured position per axis [m] and whether some noise is only assumed.
 
     Without instruments that measure positions it is the noise of other lengths, such as distances; without these
-    `WHITENED`.
-
-    Args:
-        sigma: The noise of positions, if the caller knows it [m].
-
-    Raises:
-        DataError: `sigma` is not a positive number.
+    `WHITENED`. If `sigma` is not a positive number, it is a `DataError`.
     """
     if sigma is not None and not (np.isfinite(sigma) and sigma > 0):
         raise DataError(f"sigma {sigma:g} m: must be a positive number")
@@ -99,12 +103,9 @@ def rows_of_poses(
     looks: Mapping[str, Readings] | None = None,
     blocks: Mapping[str, slice] | None = None,
 ) -> PoseRows:
-    """Return whitened rows of planned readings at assembled poses, the robot linearised at its present values.
-
-    Unstated noise is assumed (`calib.core.rows.whitening.ASSUMED`).
+    """Return whitened rows of planned readings at assembled poses.
 
     Args:
-        sigma: Noise of positions per axis instead of the stated one [m], or None.
         unknowns: The parameters of the columns; the free ones if not given.
         looks: Planned readings of each instrument, from `calib.core.rows.observed.planned_readings`; all that it can in
             the first setup, if not given.
@@ -124,22 +125,21 @@ def rows_of_poses(
     )
     width = max((place.stop for place in places.values()), default=0)
     rows, read = np.zeros((n, width, len(chosen))), np.zeros((n, width), dtype=bool)
-    if data.n_readings == 0:
-        return PoseRows(rows, read, places, positions, position_rows)
-    whitened = rows_as_stated(robot, data, observed, chosen, sigma)
-    for name in whitened.layout.instruments:
-        visits, n_rows = readings[name].visits, robot.instrument(name).n_rows
-        at = places[name].start + n_rows * rank_in_visit(visits)[:, None] + np.arange(n_rows)
-        part = whitened.jacobian[whitened.layout.rows_of(name)]
-        rows[visits[:, None], at] = part.reshape(len(visits), n_rows, len(chosen))
-        read[visits[:, None], at] = True
-    return PoseRows(rows, read, places, positions, position_rows)
+    if data.n_readings:
+        whitened = rows_as_stated(robot, data, observed, chosen, sigma)
+        for name in whitened.layout.instruments:
+            visits, n_rows = readings[name].visits, robot.instrument(name).n_rows
+            at = places[name].start + n_rows * rank_in_visit(visits)[:, None] + np.arange(n_rows)
+            part = whitened.jacobian[whitened.layout.rows_of(name)]
+            rows[visits[:, None], at] = part.reshape(len(visits), n_rows, len(chosen))
+            read[visits[:, None], at] = True
+    return PoseRows(rows, read, places, positions, position_rows, np.ones(n, dtype=bool))
 
 
 def rows_as_stated(
     robot: Robot, data: Measurements, observed: Mapping[str, Observed], unknowns: Unknowns, sigma: float | None
 ) -> Rows:
-    """Return the rows of readings, whitened by their stated or assumed noise; arguments as in `rows_of_poses`."""
+    """Return the rows of readings, whitened by their stated or assumed noise."""
     whitening = Whitening(robot, data, sigma)
     return whitening.rows(observed, whitening.start(), unknowns, robot.values)
 
@@ -172,22 +172,6 @@ def _positions(
     return linear.positions, linear.jacobian
 
 
-@dataclass(frozen=True, eq=False)
-class Candidates:
-    """Assembled candidates.
-
-    Attributes:
-        pose_rows: Rows and positions of all; rows 0 and positions NaN where not usable. `position_rows` is reduced to R
-            (`calib.core.numerics.identifiability.reduce_rows`), (at most n_parameters, n_parameters) [m].
-        usable: Mask of the poses that can be assembled far enough from singularities, (n,).
-        skipped: Label of each pose that is not usable, and the reason.
-    """
-
-    pose_rows: PoseRows
-    usable: BoolArray
-    skipped: tuple[str, ...]
-
-
 def reachable_configurations(robot: Robot, poses: Poses) -> tuple[IntArray, Configurations]:
     """Return the indices of the poses at which the loops close, ascending, (k,), and the robot there."""
     columns = term_columns(robot, poses.joints, poses.conditions)
@@ -199,16 +183,13 @@ def reachable_configurations(robot: Robot, poses: Poses) -> tuple[IntArray, Conf
 
 def build_candidates(
     robot: Robot, poses: Poses, sigma: float | None = None, *, skip_unreachable: bool = False
-) -> Candidates:
-    """Assemble candidates and compute their rows, the robot linearised at its present values.
-
-    Args:
-        sigma: Noise of positions per axis instead of the stated one [m], or None.
-        skip_unreachable: Leave out poses that cannot be assembled or are next to a singularity of the loops.
+) -> PoseRows:
+    """Assemble candidates and compute their rows.
 
     Raises:
         DataError: A pose is given twice.
-        UnreachablePoseError: There are such poses, and `skip_unreachable` is False.
+        UnreachablePoseError: Poses cannot be assembled or are next to a singularity of the loops, and are not to be
+            skipped.
     """
     _require_different(poses)
     n, n_targets, unknowns = len(poses), len(robot.target_names), Unknowns.chosen_by_poses(robot)
@@ -240,17 +221,13 @@ def build_candidates(
             f"{'; '.join(reasons[:_SHOWN])}{more}; remove these poses, or leave them out with --skip-unreachable"
         )
     rows.flags.writeable = False  # holders need no copy
-    return Candidates(PoseRows(rows, read, blocks, positions, position_rows), usable, tuple(reasons))
+    return PoseRows(rows, read, blocks, positions, position_rows, usable, tuple(reasons))
 
 
 def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return whitened rows of poses, positions of their targets, and rows of the reported targets.
 
     Measurements give the rows that were read; poses alone give all that the instruments can read.
-
-    Args:
-        robot: The robot, linearised at its present values.
-        sigma: Noise of positions per axis instead of the stated one [m], or None.
 
     Returns:
         (n_rows, n_parameters); (n, n_targets, 3) [m]; (n, 3 n_located, n_parameters) [m].

@@ -161,7 +161,7 @@ def test_a_robot_with_priors_is_chosen_for_on_the_stacked_rows(tmp_path):
     arm = small_arm(tmp_path)
     q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (60, 3))
     selection = select(arm, q, 10, "O1", sigma=1e-4)
-    rows = 1e-4 * build_candidates(arm, as_poses(arm, selection.joints), 1e-4).pose_rows.rows  # whitened by 0.1 mm
+    rows = 1e-4 * build_candidates(arm, as_poses(arm, selection.joints), 1e-4).rows  # whitened by 0.1 mm
     # every parameter has a prior, so what the poses do not see is what it was, and the rest is seen and held
     values = np.linalg.svd(rows.reshape(-1, rows.shape[2]), compute_uv=False)[: selection.rank_of_poses.rank]
     stacked = observability(np.sqrt(values**2 + 1e-4**2), 10)
@@ -213,13 +213,16 @@ def test_minimal_count_still_determines_everything(medrue):
 
 @pytest.mark.quick(0)
 @pytest.mark.parametrize("index", ["O1", "task"])
-def test_candidates_that_do_not_fit_into_memory_go_through_a_file(medrue, monkeypatch, index):
+def test_candidates_that_do_not_fit_into_memory_go_through_a_file_and_in_parts(medrue, monkeypatch, index):
     inside = select(medrue, Q, 40, index)
     monkeypatch.setattr("calib.core.base.memory.free_memory", lambda: 1e5)
     monkeypatch.setattr("calib.planning.selection_problem._PART", 50)
-    rows = build_candidates(medrue, as_poses(medrue, Q)).pose_rows
+    rows = build_candidates(medrue, as_poses(medrue, Q))
     assert np.shares_memory(pairs_of(groups_of(medrue, "all", 40), rows).rows, rows.rows)  # no copy in memory either
+    monkeypatch.setattr("calib.shared.candidates._PART", 20)
+    monkeypatch.setattr("calib.core.numerics.identifiability._AT_ONCE", 50)
     outside = select(medrue, Q, 40, index)
+    assert outside.before == pytest.approx(inside.before, rel=1e-9)
     assert outside.after[index] == pytest.approx(inside.after[index], rel=1e-9)
     assert outside.bound == pytest.approx(inside.bound, rel=1e-6)
 
@@ -235,12 +238,3 @@ def test_what_has_no_room_says_where_it_would_have_been(medrue, monkeypatch):
     monkeypatch.setattr("calib.core.base.memory.os.posix_fallocate", full)
     with pytest.raises(InputError, match=r"rows of 100 candidates need .* has only .* free; .* in TMPDIR"):
         select(medrue, Q[:100], 20, "O1")
-
-
-def test_rows_of_positions_in_parts_say_what_all_say(medrue, monkeypatch):
-    whole = select(medrue, Q[::4], 30, "task")
-    monkeypatch.setattr("calib.shared.candidates._PART", 20)
-    monkeypatch.setattr("calib.core.numerics.identifiability._AT_ONCE", 50)
-    parts = select(medrue, Q[::4], 30, "task")
-    assert parts.before == pytest.approx(whole.before, rel=1e-9)
-    assert parts.after["task"] == pytest.approx(whole.after["task"], rel=1e-9)

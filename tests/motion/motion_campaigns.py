@@ -1,6 +1,6 @@
 """An independent look at routes: joints placed by a few lines of numpy, triangles looked at by FCL.
 
-It shares no code with the engine: the URDF is read by ElementTree, meshes by trimesh, distances are FCL's. A way is
+It shares no code with the engine: the URDF is read by yourdfpy, meshes by trimesh, distances are FCL's. A way is
 walked in steps of a tenth of the motion bound: no pair can come nearer, from one step to the next, than by a twentieth
 of its clearance (the engine leaves half of it for what is between the points that it looks at). Steps that lie within
 FCL's distance of a step before are free without a look. `python -m tests.motion.motion_campaigns --help` runs
@@ -15,7 +15,6 @@ import itertools
 import json
 import tempfile
 import time
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
@@ -24,6 +23,7 @@ import fcl
 import numpy as np
 import trimesh
 import yaml
+import yourdfpy
 
 import calib
 from calib.core.base.errors import CalibrationError
@@ -83,44 +83,38 @@ def load(path, **keys):
         return calib.load(file)
 
 
+@cache
+def _parsed(urdf):
+    return yourdfpy.URDF.load(str(urdf), load_meshes=False, build_scene_graph=False)
+
+
 def _middles(urdf):
     """Middles of the limits without 0."""
-    limits = {joint.get("name"): joint.find("limit") for joint in ET.parse(urdf).getroot().iterfind("joint")}
-    ends = {
-        name: [float(limit.get(key, 0)) for key in ("lower", "upper")]
-        for name, limit in limits.items()
-        if limit is not None
-    }
+    ends = {joint.name: (joint.limit.lower or 0, joint.limit.upper or 0) for joint in _joints(urdf) if joint.limit}
     return {name: (low + high) / 2 for name, (low, high) in ends.items() if low > 0 or high < 0}
 
 
-def _transform(xyz, rpy):
-    T = trimesh.transformations.euler_matrix(*rpy, axes="sxyz")
-    T[:3, 3] = xyz
-    return T
+def _joints(urdf):
+    return _parsed(urdf).robot.joints
 
 
 def _origin(element):
-    origin = element.find("origin")
-    if origin is None:
-        return np.eye(4)
-    return _transform(*[list(map(float, origin.get(key, "0 0 0").split())) for key in ("xyz", "rpy")])
+    return np.eye(4) if element.origin is None else element.origin
 
 
 def _mesh(geometry, urdf):
-    (shape,) = geometry
-    if shape.tag == "box":
-        return trimesh.creation.box(list(map(float, shape.get("size").split())))
-    if shape.tag == "sphere":
-        return trimesh.creation.icosphere(subdivisions=3, radius=float(shape.get("radius")))
-    if shape.tag == "cylinder":
-        return trimesh.creation.cylinder(float(shape.get("radius")), float(shape.get("length")), sections=48)
-    name = shape.get("filename").removeprefix("file://")
+    if geometry.box is not None:
+        return trimesh.creation.box(geometry.box.size)
+    if geometry.sphere is not None:
+        return trimesh.creation.icosphere(subdivisions=3, radius=geometry.sphere.radius)
+    if geometry.cylinder is not None:
+        return trimesh.creation.cylinder(geometry.cylinder.radius, geometry.cylinder.length, sections=48)
+    name = geometry.mesh.filename.removeprefix("file://")
     places = [urdf.parent / name]
     if name.startswith("package://"):
         places = [root / name.removeprefix("package://") for root in urdf.parents]
     mesh = trimesh.load(next(place for place in places if place.is_file()), force="mesh")
-    mesh.apply_scale(list(map(float, shape.get("scale", "1 1 1").split())))
+    mesh.apply_scale(1.0 if geometry.mesh.scale is None else geometry.mesh.scale)
     return mesh
 
 
@@ -150,29 +144,28 @@ def _solid(owner, place, mesh, is_obstacle=False):
 @cache
 def solids(urdf):
     """Return the shapes of a URDF: for collisions; else hulls of those for the eye."""
-    root = ET.parse(urdf).getroot()
-    for tag in ("collision", "visual"):
-        found = [(link.get("name"), shape) for link in root.iterfind("link") for shape in link.iterfind(tag)]
+    links = _parsed(urdf).robot.links
+    for role in ("collisions", "visuals"):
+        found = [(link.name, shape, _mesh(shape.geometry, urdf)) for link in links for shape in getattr(link, role)]
         if found:
-            meshes = [_mesh(shape.find("geometry"), urdf) for _, shape in found]
-            meshes = meshes if tag == "collision" else [mesh.convex_hull for mesh in meshes]
-            return [_solid(owner, _origin(at), mesh) for (owner, at), mesh in zip(found, meshes, strict=True)]
+            hulls = role == "visuals"
+            return [_solid(owner, _origin(at), mesh.convex_hull if hulls else mesh) for owner, at, mesh in found]
     return []
 
 
 def capsules(urdf, robot):
     """Return what stands for links without shapes: capsules to what they carry, rods where motors slide, balls."""
-    root, radius, home = ET.parse(urdf).getroot(), 0.04 * robot.mechanism.length, robot.description.home or {}
-    ends = {link.get("name"): [] for link in root.iterfind("link")}
+    radius, home, origin = 0.04 * robot.mechanism.length, robot.description.home or {}, np.zeros(3)
+    ends = {link.name: [] for link in _parsed(urdf).robot.links}
     for target in robot.description.targets.values():
-        ends[target.frame].append((np.zeros(3), np.array(target.xyz)))
-    for joint in root.iterfind("joint"):
-        parent, child, T = joint.find("parent").get("link"), joint.find("child").get("link"), _origin(joint)
-        ends[parent].append((np.zeros(3), T[:3, 3]))
-        if joint.get("type") == "prismatic" and joint.get("name") in robot.joint_names:
-            rod = float(home.get(joint.get("name"), 0.0)) * _axis(joint)
-            ends[parent].append((T[:3, 3], T[:3, 3] + T[:3, :3] @ rod))
-            ends[child].append((-rod, np.zeros(3)))
+        ends[target.frame].append((origin, np.array(target.xyz)))
+    for joint in _joints(urdf):
+        T = _origin(joint)
+        ends[joint.parent].append((origin, T[:3, 3]))
+        if joint.type == "prismatic" and joint.name in robot.joint_names:
+            rod = float(home.get(joint.name, 0.0)) * _axis(joint)
+            ends[joint.parent].append((T[:3, 3], T[:3, 3] + T[:3, :3] @ rod))
+            ends[joint.child].append((-rod, origin))
     balls = [_capsule(link, np.zeros((2, 3)), radius) for link, stretches in ends.items() if not stretches]
     long = [(link, pair) for link, stretches in ends.items() for pair in stretches if np.ptp(pair, axis=0).any()]
     return balls + [_capsule(link, pair, radius) for link, pair in long if np.linalg.norm(pair[1] - pair[0]) > radius]
@@ -190,8 +183,7 @@ def _capsule(link, ends, radius):
 
 
 def _axis(joint):
-    axis = np.array(list(map(float, joint.find("axis").get("xyz").split()))) if joint.find("axis") is not None else None
-    return np.array([1.0, 0.0, 0.0]) if axis is None else axis / np.linalg.norm(axis)
+    return joint.axis / np.linalg.norm(joint.axis)
 
 
 class Checker:
@@ -206,21 +198,20 @@ class Checker:
     """
 
     def __init__(self, urdf, home, obstacles, looked_at, shapes):
-        root = ET.parse(urdf).getroot()
-        joints = list(root.iterfind("joint"))
-        children = {joint.find("child").get("link") for joint in joints}
-        self.root = next(link.get("name") for link in root.iterfind("link") if link.get("name") not in children)
+        joints = _joints(urdf)
+        self.root = next(iter({joint.parent for joint in joints} - {joint.child for joint in joints}))
         self.joints, placed = [], {self.root}  # parents first
         while joints:
-            ready = [joint for joint in joints if joint.find("parent").get("link") in placed]
-            joints = [joint for joint in joints if joint not in ready]
-            placed |= {joint.find("child").get("link") for joint in ready}
-            self.joints += [(joint, _origin(joint), _axis(joint)) for joint in ready]
+            self.joints += [joint for joint in joints if joint.parent in placed]
+            joints = [joint for joint in joints if joint.parent not in placed]
+            placed |= {joint.child for joint in self.joints}
         self.home, self.solids = home, list(shapes)
         for name, section in obstacles.items():
             box = section.get("box")
             mesh = trimesh.creation.box(box) if box else trimesh.creation.cylinder(*section["cylinder"], sections=96)
-            self.solids.append(_solid(name, _transform(section["xyz"], section.get("rpy", (0, 0, 0))), mesh, True))
+            place = trimesh.transformations.euler_matrix(*section.get("rpy", (0, 0, 0)), axes="sxyz")
+            place[:3, 3] = section["xyz"]
+            self.solids.append(_solid(name, place, mesh, True))
         pairs = itertools.combinations(self.solids, 2)
         self.pairs = [(a, b) for a, b in pairs if frozenset((a.owner, b.owner)) in looked_at]
         self.looks = 0
@@ -229,26 +220,25 @@ class Checker:
         """Return T_root_link of each link, (n, 4, 4), joints being {name: values (n,)}."""
         n = len(next(iter(values.values())))
         T = {self.root: np.broadcast_to(np.eye(4), (n, 4, 4))}
-        for joint, origin, axis in self.joints:
-            moved = origin @ self._motion(joint, axis, values, n)
-            T[joint.find("child").get("link")] = T[joint.find("parent").get("link")] @ moved
+        for joint in self.joints:
+            T[joint.child] = T[joint.parent] @ _origin(joint) @ self._motion(joint, values, n)
         return T
 
-    def _motion(self, joint, axis, values, n):
-        if joint.get("type") == "fixed":
-            return np.eye(4)
-        name, mimic = joint.get("name"), joint.find("mimic")
-        lead = name if mimic is None else mimic.get("joint")
-        value = values.get(lead, np.full(n, self.home.get(lead, 0.0)))
-        if mimic is not None:
-            value = float(mimic.get("multiplier", 1)) * value + float(mimic.get("offset", 0))
+    def _motion(self, joint, values, n):
         motion = np.tile(np.eye(4), (n, 1, 1))
-        if joint.get("type") in ("revolute", "continuous"):
-            K = np.cross(np.eye(3), axis)
+        if joint.type == "fixed":
+            return motion
+        lead = joint.name if joint.mimic is None else joint.mimic.joint
+        value = values.get(lead, np.full(n, self.home.get(lead, 0.0)))
+        if joint.mimic is not None:
+            multiplier, offset = joint.mimic.multiplier, joint.mimic.offset
+            value = (1.0 if multiplier is None else multiplier) * value + (offset or 0.0)
+        if joint.type in ("revolute", "continuous"):
+            K = np.cross(np.eye(3), _axis(joint))
             sine, cosine = np.sin(value)[:, None, None], np.cos(value)[:, None, None]
             motion[:, :3, :3] += sine * K + (1 - cosine) * (K @ K)
-        elif joint.get("type") == "prismatic":
-            motion[:, :3, 3] = value[:, None] * axis
+        elif joint.type == "prismatic":
+            motion[:, :3, 3] = value[:, None] * _axis(joint)
         return motion
 
     def _relative(self, values):

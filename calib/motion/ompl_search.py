@@ -18,6 +18,7 @@ from calib.core.base.arrays import FloatArray
 
 _STEP = 1.0  # largest step of a joint between neighbours in OMPL's trees [m or rad]
 _SEED = 57
+_MOST_CHECKS = 150  # moves
 
 util.noOutputHandler()
 util.RNG.setSeed(_SEED)
@@ -53,12 +54,10 @@ def search(
     limits: FloatArray,
     is_free: Callable[[FloatArray], bool],
     is_free_move: Callable[[FloatArray, FloatArray], bool],
-    most_checks: int,
 ) -> FloatArray | None:
     """Return the corners of a free path between free commands (n_actuated,) [m or rad]; None if none was found.
 
-    It includes both ends, (n, n_actuated), and stays within the limits (n_actuated, 2). At most `most_checks` moves are
-    checked.
+    It includes both ends, (n, n_actuated), and stays within the limits (n_actuated, 2).
     """
     n = len(start)
     space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
@@ -80,7 +79,7 @@ def search(
     planner.setRange(_STEP * float(np.sqrt(n)))
     planner.setProblemDefinition(problem)
     planner.setup()
-    solved = planner.solve(base.PlannerTerminationCondition(lambda: validator.n_checked >= most_checks))
+    solved = planner.solve(base.PlannerTerminationCondition(lambda: validator.n_checked >= _MOST_CHECKS))
     if not solved or not problem.hasExactSolution():
         return None
     path = problem.getSolutionPath()

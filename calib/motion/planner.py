@@ -89,7 +89,6 @@ def _halves(ends: FloatArray, middle: FloatArray) -> FloatArray:
     return np.concatenate([np.stack([ends[:, 0], middle], axis=1), np.stack([middle, ends[:, 1]], axis=1)])
 
 
-_MOST_CHECKS = 150  # largest number of moves that OMPL may check
 _SHORTCUTS = 20
 _NEAREST = 25  # moves of each node of the roadmap
 _TRIED = 100  # largest number of paths to check
@@ -198,7 +197,6 @@ class Planner:
             self.limits,
             lambda q: not self.scene.hits(q[None])[0],
             lambda one, other: not self.move(one, other).hit,
-            _MOST_CHECKS,
         )
         before = self.nodes[[start]] if near == start else self._roadmap_path(start, near)
         return None if found is None or before is None else np.vstack([before[:-1], found])

@@ -24,13 +24,13 @@ from calib.planning.selection_problem import TASK
 from calib.shared.candidates import WHITENED
 
 _SHOWN = 8  # skipped candidates
+_WIDTH = 120  # characters
 
 
-def text_report(selection: Selection, poses: Poses, width: int = 120) -> str:
-    """Return the result of a selection as text of a width in characters."""
-    return plain_text(
-        [*_summary(selection, poses), _indices(selection), *_remarks(selection)], width, wrap=True
-    ).rstrip()
+def text_report(selection: Selection, poses: Poses) -> str:
+    """Return the result of a selection as text."""
+    parts: list[str | Printed] = [*_summary(selection, poses), _indices(selection), *_remarks(selection)]
+    return plain_text(parts, _WIDTH, wrap=True).rstrip()
 
 
 def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:

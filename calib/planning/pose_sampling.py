@@ -125,11 +125,9 @@ def _draw_poses(
     met = np.flatnonzero(misses < MET)
     if len(met) < count:
         return _poses(robot, tried.joints[:count])
-    expected = {}
-    for name, readings in touched.items():
-        kept = readings_of_visits(readings, met[:count])
-        expected[name] = Readings(kept.visits, kept.pairs, np.zeros((len(kept), 0)), None, kept.details)
-    return replace(_poses(robot, commands[met[:count]]), planned=expected)
+    kept = {name: readings_of_visits(readings, met[:count]) for name, readings in touched.items()}
+    planned = {name: replace(readings, values=np.zeros((len(readings), 0))) for name, readings in kept.items()}
+    return replace(_poses(robot, commands[met[:count]]), planned=planned)
 
 
 def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:

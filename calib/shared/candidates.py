@@ -82,17 +82,18 @@ def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     """
     if sigma is not None and not (np.isfinite(sigma) and sigma > 0):
         raise DataError(f"sigma {sigma:g} m: must be a positive number")
-    assumed = any(not part.stated for instrument in robot.instruments for part in stated_noise(instrument, sigma).parts)
-    lengths = [
+    parts = [
         (part, noise)
         for instrument in robot.instruments
         for part, noise in zip(instrument.parts, stated_noise(instrument, sigma).parts, strict=True)
-        if part.dimension == "length"
     ]
-    for part, noise in sorted(lengths, key=lambda length: not length[0].is_position):
-        typical = np.sqrt(np.median(np.diag(noise.covariance(np.full((1, 3), 1.0), 1, len(part.axes))[0])))
-        return float(typical) if noise.stated else ASSUMED[part.dimension], assumed
-    return WHITENED, assumed
+    assumed = any(not noise.stated for _, noise in parts)
+    lengths = [each for each in parts if each[0].dimension == "length"]
+    if not lengths:
+        return WHITENED, assumed
+    part, noise = min(lengths, key=lambda length: not length[0].is_position)
+    typical = np.sqrt(np.median(np.diag(noise.covariance(np.full((1, 3), 1.0), 1, len(part.axes))[0])))
+    return float(typical) if noise.stated else ASSUMED[part.dimension], assumed
 
 
 def rows_of_poses(

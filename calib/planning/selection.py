@@ -212,11 +212,12 @@ def _best_choice(
     progress: Progress | None = None,
 ) -> tuple[tuple[Run, ...], Exchange, float | None, float | None]:
     """The runs from each start and the best choice; for an index with a bound, its efficiency and the bound."""
-    starts = [setting.uniform() if kind == "uniform" else setting.random(rng) for kind in kinds]
+    starts = [(kind, setting.uniform() if kind == "uniform" else setting.random(rng)) for kind in kinds]
     # without priors, K of all candidates is the identity
     alike = setting.count / len(setting.problem) * np.eye(len(setting.problem.strengths))
-    searched = best_candidates(setting, setting.problem.before + alike, np.concatenate(starts))
-    results, runs = zip(*_run(setting, searched, kinds, starts, workers, progress), strict=True)
+    kept = np.concatenate([start for _, start in starts])
+    searched = best_candidates(setting, setting.problem.before + alike, kept)
+    results, runs = zip(*_run(setting, searched, starts, workers, progress), strict=True)
     best = max(results, key=lambda exchange: exchange.scores.value)
     return _certify(setting, runs, best) if setting.index in CERTIFIED else (runs, best, None, None)
 
@@ -224,13 +225,12 @@ def _best_choice(
 def _run(
     setting: SelectionSetting,
     searched: CandidateSubset,
-    kinds: Sequence[str],
-    starts: Sequence[IntArray],
+    starts: Sequence[tuple[str, IntArray]],
     workers: Executor | None = None,
     progress: Progress | None = None,
 ) -> list[tuple[Exchange, Run]]:
-    """Run the exchange from each of `starts`; `kinds` names them."""
-    inside = (np.searchsorted(searched.index, start) for start in starts)
+    """Run the exchange from each of the named starts."""
+    inside = (np.searchsorted(searched.index, start) for _, start in starts)
     spread = [searched.space.select_spread(start, setting.count) for start in inside]
     fewest = min(map(len, spread))
     if fewest < setting.count:
@@ -240,7 +240,7 @@ def _run(
         )
     runs = []
     search = partial(_search, searched.problem, setting.index, searched.space)
-    for kind, (found, n_paper) in zip(kinds, results_in_order(search, spread, workers, progress), strict=True):
+    for (kind, _), (found, n_paper) in zip(starts, results_in_order(search, spread, workers, progress), strict=True):
         result = searched.with_all_numbers(found)
         runs.append((result, Run(kind, result.history, tuple(map(setting.index_of_score, result.values)), n_paper)))
     return runs
@@ -261,10 +261,9 @@ def _certify(
     log_bound, weights = relax(problem, index, best.chosen, setting.space)
     heaviest = np.concatenate(largest(np.where(usable, weights, -1.0), setting.space.kind, setting.counts))
     searched = best_candidates(setting, gathered_by(problem, weights), np.flatnonzero(best.chosen | (weights > 0)))
-    starts = {"relaxed": np.sort(heaviest)}
-    if len(searched.index) < searched.n_all:
-        starts["best"] = np.flatnonzero(best.chosen)
-    for more, run in _run(setting, searched, tuple(starts), tuple(starts.values())):
+    starts = [("relaxed", np.sort(heaviest)), ("best", np.flatnonzero(best.chosen))]
+    screened = len(searched.index) < searched.n_all
+    for more, run in _run(setting, searched, starts if screened else starts[:1]):
         best, runs = max(best, more, key=lambda exchange: exchange.scores.value), (*runs, run)
     log_phis = log_bound, log_phi(problem, index, problem.information_of(best.chosen.astype(float)))
     # scores by log phi: minus trace(W K^-1), log det K

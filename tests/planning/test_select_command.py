@@ -134,7 +134,6 @@ def broken(folder):
         (("names.csv", "--count", "20"), "line 4 (pose a): pose 'a' is given twice"),
         (("good.csv", "--count", "20", "--exclude", "7,99"), "has no pose '99'"),
         (("good.csv", "--count", "20", "--exclude", "40-50"), "has no pose '43'"),
-        (("good.csv", "--count", "20", "--sigma-mm", "0"), "--sigma-mm 0"),
         (("good.csv", "--count", "20", "--min-distance-mm", "-1"), "minimum distance"),
         (("good.csv", "--count", "20", "--starts", "0"), "0 starts"),
         (("good.csv",), "give one of --count and --goal-mm"),

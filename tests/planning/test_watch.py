@@ -257,7 +257,6 @@ def test_every_state_is_a_line_for_programs(run_calib):
     [
         (("--goal", "0.1"), "write its unit, such as 0.1mm"),
         (("--goal", "0.1mm", "--view"), "leave one of them out"),
-        (("--goal", "0.1mm", "--sigma-mm", "-1"), "positive"),
         (("--goal", "0.1mm", "--every", "0"), "--every"),
         ((), "--goal"),
     ],

@@ -40,8 +40,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.planning.exchange import Spacing, exchange, uniform_start
 from calib.planning.pose_sampling import sample
 from calib.planning.predicted_error import TaskIndex, task_index
-from calib.planning.selection_problem import TASK, build_problem
-from calib.planning.selection_scores import observability_of
+from calib.planning.selection_problem import TASK, build_problem, observability_of
 from calib.shared.candidates import (
     WHITENED,
     assumed_sigma,

@@ -20,9 +20,8 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import NotIdentifiableError
-from calib.planning.rank_three_scores import Scores
 from calib.planning.selection_problem import TASK, SelectionProblem
-from calib.planning.selection_scores import scores
+from calib.planning.selection_scores import Scores, scores
 
 _RISE = 1e-10
 """Least relative rise of an index; a smaller rise is rounding."""

@@ -24,8 +24,8 @@ from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import distances_from
-from calib.planning.rank_three_scores import DeterminantScores, TaskScores
 from calib.planning.selection_problem import DETERMINED, TASK
+from calib.planning.selection_scores import DeterminantScores, TaskScores
 from calib.planning.selection_setting import prepare
 
 ENOUGH = 0.8

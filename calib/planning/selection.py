@@ -44,9 +44,8 @@ from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import order_in_blocks, travel
 from calib.planning.selection_bound import CERTIFIED, gathered_by, largest, log_phi, relax, slopes
-from calib.planning.selection_problem import TASK, SelectionProblem
+from calib.planning.selection_problem import TASK, SelectionProblem, index_values, observability_of
 from calib.planning.selection_result import Run, Selection
-from calib.planning.selection_scores import index_values, observability_of
 from calib.planning.selection_setting import SelectionSetting, prepare, require_count
 from calib.shared.candidates import WHITENED
 from calib.shared.pose_check import PoseCheck, check_poses

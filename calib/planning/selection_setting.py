@@ -22,8 +22,7 @@ from calib.core.rows.unknowns import Unknowns
 from calib.planning.exchange import Spacing, uniform_start
 from calib.planning.instrument_choice import Groups, PoseGroupPairs, already_read, pairs_of, require_planned_touches
 from calib.planning.selection_bound import CERTIFIED, largest
-from calib.planning.selection_problem import TASK, SelectionProblem, build_problem
-from calib.planning.selection_scores import CHOICES, index_of_score
+from calib.planning.selection_problem import CHOICES, TASK, SelectionProblem, build_problem, index_of_score
 from calib.shared.candidates import (
     PoseRows,
     assumed_sigma,

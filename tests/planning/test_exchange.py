@@ -8,8 +8,7 @@ import pytest
 
 import calib
 from calib.planning.exchange import Spacing, exchange, swap, uniform_start
-from calib.planning.selection_problem import TASK, build_problem
-from calib.planning.selection_scores import CHOICES, index_values
+from calib.planning.selection_problem import CHOICES, TASK, build_problem, index_values
 
 N, COUNT, D = 12, 4, 5
 LARGEST_GAP = {"O1": 0.0, "O2": 0.05, "O3": 0.04, "O4": 0.05, "O5": 0.01, TASK: 0.005}

@@ -7,8 +7,7 @@ import pytest
 
 from calib.planning.exchange import Spacing, exchange, swap, uniform_start
 from calib.planning.selection_bound import CERTIFIED, log_phi, relax
-from calib.planning.selection_problem import TASK, build_problem
-from calib.planning.selection_scores import index_values
+from calib.planning.selection_problem import TASK, build_problem, index_values
 
 N, COUNT, D = 11, 4, 5
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calib.core.numerics.observability import observability
-from calib.planning.selection_problem import TASK, build_problem
-from calib.planning.selection_scores import CHOICES, index_of_score, index_values, scores
+from calib.planning.selection_problem import CHOICES, TASK, build_problem, index_of_score, index_values
+from calib.planning.selection_scores import scores
 
 N, K, D = 14, 3, 6
 

@@ -23,7 +23,7 @@ from calib.programs.languages.languages import read_program
 from calib.shared.pose_check import check_poses
 from tests.project import EXAMPLES, copied, write_table
 from tests.six_axis_arm import FREE, URDF, YAML
-from tests.urdf_trees import plain
+from tests.urdf_trees import plain, urdf_of
 from viz.inputs import gather
 from viz.scene_data import scene_data
 
@@ -407,22 +407,11 @@ def test_only_what_touches_at_a_home_within_the_limits_is_left_unchecked(tmp_pat
 
 
 def test_a_gap_as_wide_as_the_clearance_is_free_in_every_pose(tmp_path):
-    links = '<link name="{}"><collision><geometry>{}</geometry></collision></link>'
-    joint = '<joint name="{}" type="revolute"><parent link="{}"/><child link="{}"/><origin xyz="{} 0 0"/>{}</joint>'
-    moves = '<axis xyz="{}"/><limit lower="-3" upper="3" effort="1" velocity="1"/>'
-    parts = [
-        links.format("base", '<sphere radius="0.05"/>'),
-        '<link name="turn"/>',
-        links.format("arm", '<sphere radius="0.05"/>'),
-        joint.format("j1", "base", "turn", 0.0, moves.format("0 0 1")),
-        joint.format("j2", "turn", "arm", 0.105, moves.format("1 0 0")),
-    ]
-    (tmp_path / "turn.urdf").write_text('<robot name="turn">' + "".join(parts) + "</robot>")
-    (tmp_path / "turn.yaml").write_text(
-        "urdf: turn.urdf\nname_mot: [j1, j2]\nbase: {frame: base}\ntargets: {ball: {frame: arm}}\n"
-        "self_clearance: 5 mm\nparametrisation: [{origin: j2, components: [x], sigma: 1 mm}]\n"
-    )
-    robot = calib.load(tmp_path / "turn.yaml")
+    arm = '<origin xyz="0.105 0 0"/><axis xyz="1 0 0"/>'
+    urdf = urdf_of(("j1", "revolute", "base", "turn", '<axis xyz="0 0 1"/>'), ("j2", "revolute", "turn", "arm", arm))
+    ball = '<collision><geometry><sphere radius="0.05"/></geometry></collision>'
+    (tmp_path / "turn.urdf").write_text(re.sub('(<link name="(base|arm)")/>', rf"\1>{ball}</link>", urdf))
+    robot = calib.robot(tmp_path / "turn.urdf", self_clearance=0.005)
     checked = check_poses(robot, np.random.default_rng(0).uniform(-3.0, 3.0, (200, 2)))
     assert np.all(checked.is_free)
     assert checked.remarks == ("links without any shape, which are not checked: turn",)

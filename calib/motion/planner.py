@@ -39,11 +39,9 @@ _BENDS = 2.0
 
 @dataclass(frozen=True)
 class StraightMove:
-    """Result of the check of a straight move.
+    """Result of the check of a straight move: the colliding pair that was found first, or "".
 
-    Attributes:
-        hit: The first colliding pair in the order of checking, or "".
-        clearance: Smallest distance of any pair at the checked points [m]; a lower bound for meshes far apart.
+    `clearance` is the smallest distance of any pair at the checked points [m]; a lower bound for meshes far apart.
     """
 
     hit: str

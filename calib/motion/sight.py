@@ -54,13 +54,7 @@ class SightLine:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """All lines of sight in a scene.
-
-    Attributes:
-        scene: The shapes.
-        lines: The lines.
-        ignored: Pairs of a line and of a shape that hides it at nearly all poses, by names.
-    """
+    """All lines of sight in a scene; `ignored`: lines and shapes that hide them at nearly all poses, by names."""
 
     scene: CollisionScene
     lines: tuple[SightLine, ...]

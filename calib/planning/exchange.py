@@ -100,7 +100,6 @@ class Exchange:
 
     Attributes:
         chosen: Mask of the chosen candidates, (n_candidates,).
-        scores: Scores of the choice.
         values: Score at the start and after each exchange; NaN while the choice did not determine enough.
         history: Exchanges as (added, removed) pairs.
     """

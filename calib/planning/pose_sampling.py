@@ -74,11 +74,7 @@ def sample(
 def free_sample(
     robot: Robot, count: int, generator: np.random.Generator, within: Poses | Ranges | ArrayLike | None = None
 ) -> tuple[Poses, PoseCheck, Poses]:
-    """Return free poses as in `sample`, the check of all drawn poses, and the first drawn poses, free or not.
-
-    Raises:
-        InputError, DataError: See `sample`.
-    """
+    """Return free poses, the check of all drawn poses, and the first drawn poses, free or not; see `sample`."""
     state, total = generator.bit_generator.state, count
     while True:
         generator.bit_generator.state = state  # draw the same poses again, and more

@@ -38,15 +38,12 @@ class SelectionSetting:
     """Everything known before the first choice.
 
     Attributes:
-        robot: The robot.
         index: Index to raise, of `CHOICES`.
         count: Number of poses; a pose counts once for each group of instruments that reads there.
         groups: Groups of instruments to choose among.
-        poses: The poses to choose from.
-        pose_rows: Their rows.
+        poses, pose_rows: The poses to choose from.
         pairs: The candidates: these poses with groups of instruments.
         problem: The candidates in whitened coordinates.
-        space: Rules on which candidates may be chosen.
         sigma: Noise of one measured position per axis, the unit of indices [m].
         sigma_assumed: Whether some noise is an assumption.
         already_measured: Number of measured candidates.

@@ -1,7 +1,5 @@
 """What `calib check` knows: MedRUE, a robot with priors, and poses that determine too little."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ from calib.shared.null_space import describe_group
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
 from tests.six_axis_arm import YAML, joints, write_six_axis
-from tests.small_robots import small_arm, write_arm
+from tests.small_robots import small_arm
 
 Q = target_workspace().q
 
@@ -25,10 +23,6 @@ Q = target_workspace().q
 @pytest.fixture(scope="module")
 def assessment(medrue):
     return check(medrue, as_poses(medrue, Q[::3]))
-
-
-def with_held(robot, *held):
-    return replace(robot, description=robot.description.model_copy(update={"held": held}))
 
 
 def test_observability_on_scaled_and_on_raw_columns(medrue, assessment):
@@ -70,7 +64,7 @@ def test_uncertainty_is_the_spread_of_the_normal_equations(medrue, assessment):
 
 
 def test_what_stays_undetermined_is_said_in_words_and_infinite(medrue):
-    freer = with_held(medrue, "A2y", "A2z", "d32", "d41", "d5", "zb", "phi_by")  # frees xb and d31
+    freer = medrue.free("xb", "d31").fix("phi_by")
     assessment = check(freer, as_poses(freer, Q[::6]))
     assert [describe_group(group, assessment.free_parameters) for group in assessment.undetermined_groups] == [
         "d31 has no effect",
@@ -147,8 +141,8 @@ def test_of_very_many_poses_only_few_are_searched_for_the_best():
 
 
 def test_a_robot_with_everything_held_is_an_error(tmp_path):
-    arm = calib.load(write_arm(tmp_path))
-    held = with_held(arm, *(p.name for p in arm.parameters))
+    arm = small_arm(tmp_path)
+    held = arm.fix(*(p.name for p in arm.parameters))
     with pytest.raises(calib.InputError, match="nothing to identify"):
         check(held, sample(held, 5, np.random.default_rng(0)))
 

@@ -47,7 +47,6 @@ from calib.shared.candidates import (
     positions_at,
     require_free,
     rows_as_stated,
-    rows_of_measured,
     rows_of_poses,
 )
 from calib.shared.null_space import UnseenGroup, null_groups
@@ -232,10 +231,10 @@ def check(
     known = information(unit, priors)
     order = robot.parameters.places(robot.description.elimination_order)
     elimination, held = eliminate(determined.columns, order), tuple(map(int, np.flatnonzero(~free)))
-    if task is None:
-        positions, task_rows = positions_at(robot, configurations)
-    else:
-        _, positions, task_rows = rows_of_measured(robot, task, sigma)
+    where = configurations
+    if task is not None:
+        where = robot.assemble(task.joints, labels=task.labels, context=task.conditions)
+    positions, task_rows = positions_at(robot, where)
     task_rows = task_rows / lengths[free]
     errors = known.position_errors(task_rows)
     without_common = known.position_errors(without_common_motion(positions[:, robot.reported_targets], task_rows))

@@ -28,6 +28,7 @@ from calib.shared.candidates import (
     assumed_sigma,
     build_candidates,
     near_measured,
+    positions_at,
     require_free,
     rows_of_measured,
 )
@@ -128,17 +129,20 @@ def prepare(
     done_rows, n_before, same = None, 0, np.zeros(len(pairs.pose), dtype=bool)
     if measured is not None:
         done = as_poses(robot, measured)
-        done_rows, positions, _ = rows_of_measured(robot, done, sigma)
+        done_rows = rows_of_measured(robot, done, sigma)
         n_before, same = done.n_poses, already_read(groups, poses, done)
         if minimum_distance > 0:
             gaps = np.full(len(poses), np.inf)
             others = assembled.usable & ~near_measured(poses.joints, done.joints)
-            gaps[others] = scipy.spatial.cKDTree(points_of(positions)).query(points[others])[0]
+            gaps[others] = scipy.spatial.cKDTree(points_of(robot.positions(done.joints, done.conditions))).query(
+                points[others]
+            )[0]
             allowed &= gaps >= minimum_distance
     task_rows, n_task = assembled.position_rows, int(np.sum(assembled.usable))
     if task is not None:
-        task_rows = rows_of_measured(robot, as_poses(robot, task), sigma)[2]
-        n_task = len(task_rows)
+        wanted = as_poses(robot, task)
+        configurations = robot.assemble(wanted.joints, labels=wanted.labels, context=wanted.conditions)
+        task_rows, n_task = positions_at(robot, configurations)[1], len(wanted)
     priors = Unknowns.chosen_by_poses(robot).prior.rows
     problem = build_problem(pairs.rows, done_rows, priors, n_before, task_rows, n_task * len(robot.reported_targets))
     _require_answer(problem, index)

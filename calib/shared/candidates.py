@@ -225,24 +225,17 @@ def build_candidates(
     return PoseRows(rows, read, blocks, positions, position_rows, usable, tuple(reasons))
 
 
-def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return whitened rows of poses, positions of their targets, and rows of the reported targets.
+def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> FloatArray:
+    """Return whitened rows: of measurements those that were read, of poses alone all that the instruments can read.
 
-    Measurements give the rows that were read; poses alone give all that the instruments can read.
-
-    Returns:
-        (n_rows, n_parameters); (n, n_targets, 3) [m]; (n, 3 n_located, n_parameters) [m].
-
-    Raises:
-        UnreachablePoseError: A pose cannot be assembled.
+    They are (n_rows, n_parameters). A pose that cannot be assembled is an `UnreachablePoseError`.
     """
     configurations = robot.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
-    if not isinstance(poses, Measurements):
-        part = rows_of_poses(robot, configurations, sigma, looks=planned_readings(robot, poses))
-        return part.rows[part.read], part.positions, part.position_rows
-    observed, unknowns = observe(robot, configurations, poses.readings), Unknowns.chosen_by_poses(robot)
-    rows = rows_as_stated(robot, poses, observed, unknowns, sigma)
-    return rows.jacobian, *positions_at(robot, configurations)
+    if isinstance(poses, Measurements):
+        observed, unknowns = observe(robot, configurations, poses.readings), Unknowns.chosen_by_poses(robot)
+        return rows_as_stated(robot, poses, observed, unknowns, sigma).jacobian
+    part = rows_of_poses(robot, configurations, sigma, looks=planned_readings(robot, poses))
+    return part.rows[part.read]
 
 
 def positions_at(robot: Robot, configurations: Configurations) -> tuple[FloatArray, FloatArray]:

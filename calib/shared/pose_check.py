@@ -89,7 +89,7 @@ def worth_sentence(robot: Robot, kept: Poses, every: Poses) -> str:
     """Compare the free poses with all of them, by O1 or by the number of combinations that they determine."""
     if not np.any(robot.is_free):
         return "nothing is free to be identified"
-    ranks = [numerical_rank(rows_of_measured(robot, poses, None)[0]) for poses in (kept, every)]
+    ranks = [numerical_rank(rows_of_measured(robot, poses, None)) for poses in (kept, every)]
     if not ranks[1].rank:
         return "no reading there depends on a free parameter"
     if ranks[0].rank < ranks[1].rank:

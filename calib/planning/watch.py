@@ -194,11 +194,7 @@ class GrowingFile:
     """A CSV file that grows while it is read.
 
     An unfinished last line is left for the next time. A line that cannot be read, or whose pose cannot be assembled, is
-    skipped until it is corrected.
-
-    Args:
-        path: The file; it need not exist yet.
-        robot: Robot of these measurements.
+    skipped until it is corrected. The file need not exist yet.
     """
 
     def __init__(self, path: str, robot: Robot) -> None:

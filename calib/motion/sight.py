@@ -110,8 +110,8 @@ class Sight:
         """Return the lines without shapes that hide them in nearly all configurations (n, n_joints), with remarks."""
         count = Counter[tuple[str, str]]()
         for q in joints:
-            for line, ends, _ in list(self._lines_in_root(q)):
-                count.update({(line.name, body) for body in self.shapes_hiding(line, ends)})
+            lines = list(self._lines_in_root(q))  # several of a board have its name
+            count.update({(line.name, body) for line, ends, _ in lines for body in self.shapes_hiding(line, ends)})
         ends_in = frozenset(key for key, n in count.items() if n >= _ALWAYS * len(joints))
         remarks = [
             f"{body} nearly always hides {line}, so it is not checked for that line" for line, body in sorted(ends_in)

@@ -92,10 +92,10 @@ _POINT = """\
   {point}: {{frame: {target}, xyz: [0 mm, 0 mm, 0 mm], position: unknown, sigma: 20 mm}}
 """
 _PLAIN = f"""{_BASE_ANYWHERE}
-# What is measured: columns <name>_x, <name>_y, <name>_z. `xyz` is about where the point is on the link; add
-# `sigma: 10 mm` if you know how far off that may be, which helps where the last joints hardly turned.
+# What is measured: columns <name>_x, <name>_y, <name>_z. `xyz` is about where the point is on the link; `sigma`: how
+# far off that may be. A smaller one helps where the last joints hardly turned.
 targets:
-  {{target}}: {{{{frame: {{target}}, xyz: [0 mm, 0 mm, 0 mm], position: unknown}}}}
+  {{target}}: {{{{frame: {{target}}, xyz: [0 mm, 0 mm, 0 mm], position: unknown, sigma: 500 mm}}}}
 """
 
 

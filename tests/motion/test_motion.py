@@ -459,6 +459,13 @@ def test_a_board_behind_the_arm_is_not_in_sight_of_a_camera_beside_it(tmp_path):
     assert re.fullmatch(r"l\d in sight of ball by eye", hits[1])
 
 
+def test_what_hides_a_board_at_less_than_half_of_the_poses_is_checked(tmp_path):
+    wall = "obstacles:\n  wall: {box: [0.05, 0.6, 0.6], xyz: [2.4 m, 0.3 m, 1.1 m]}\n"
+    robot = calib.load(_write(tmp_path, EYE % "-90 deg" + wall))
+    assert surroundings(robot).scene.remarks == ()  # each pose counts once, whatever the number of lines to the board
+    assert "wall in sight of ball by eye" in check_poses(robot, robot.sample(100, seed=1)).hits
+
+
 def test_a_camera_that_looks_away_sees_nothing_and_that_is_said(tmp_path, run_calib):
     upwards = _write(tmp_path, EYE % "0")
     run = run_calib("sample", upwards, "--count", 20, "--out", tmp_path / "poses.csv")

@@ -96,8 +96,8 @@ class FamilyPart(ReadOnlyArrays):
     ) -> FamilyPart:
         """Return the part of the columns of a family, (n_rows, n).
 
-        Components of a family are dropped if they are shorter than `least`, or than the part `aside` of the longest.
-        Of columns with known priors, all stay if `least` is 0; else rows must see that part, too.
+        Components of a family are dropped if they are shorter than `least`, or than the part `aside` of the longest;
+        those of columns with known priors, which have many units, if they are shorter than both.
         """
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
@@ -109,7 +109,8 @@ class FamilyPart(ReadOnlyArrays):
         if family == KNOWN and least == 0.0:
             return FamilyPart(members, np.eye(len(members)), family)
         values, vectors = _principal(columns)
-        seen = values > max(aside**2 * values[-1], 0.0 if family == KNOWN else least**2)
+        together = min if family == KNOWN else max
+        seen = values > together(aside**2 * values[-1], least**2)
         return FamilyPart(members, vectors[:, seen], family)
 
 

@@ -28,8 +28,7 @@ from calib.core.judging.verdict import JudgedFit
 from calib.core.numerics.losses import find_loss
 from calib.core.results.loaded_result import CalibratedRobot
 from calib.core.results.report_text import summary, text_report, verdict_lines
-from calib.core.results.result_content import to_dict
-from calib.core.results.results import save
+from calib.core.results.results import save, to_dict
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import terms_text

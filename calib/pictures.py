@@ -6,10 +6,10 @@ writes and computes without asking what is installed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from calib.core.robots.robot import Robot
 
 GROUP = "calib.pictures"
+Drawn = TypeVar("Drawn")
 
 
 class Plots(Protocol):
@@ -99,14 +100,11 @@ def commands() -> tuple[str, ...]:
     return tuple(sorted(entry_points(group=GROUP).names))
 
 
-def command(name: str) -> click.Command:
-    """Return an added command."""
-    return _pictures_named(name).command
-
-
-def summary(name: str) -> str:
-    """Return what an added command does, for the list of commands."""
-    return _pictures_named(name).summary
+def named(name: str) -> Pictures:
+    """Return the functions of an entry, the one that adds the command of this name."""
+    (entry,) = entry_points(group=GROUP, name=name)
+    pictures: Pictures = entry.load()
+    return pictures
 
 
 def pages(fit: Fit, logo: Path | str | None = None) -> dict[str, bytes]:
@@ -130,10 +128,7 @@ def figures(subject: object) -> dict[str, bytes]:
     Raises:
         InputError: Nothing that draws is installed, or something that it needs is missing.
     """
-    try:
-        return installed("--plots").figures(subject)
-    except ImportError as error:
-        raise InputError(f"--plots: {error.name} is not installed; `pip install {error.name}` first") from None
+    return _with_packages("--plots", lambda pictures: pictures.figures(subject))
 
 
 def plots(fit: Fit) -> Plots:
@@ -142,16 +137,14 @@ def plots(fit: Fit) -> Plots:
     Raises:
         InputError: Nothing that draws is installed, or something that it needs is missing.
     """
+    return _with_packages("plot", lambda pictures: pictures.plots(fit))
+
+
+def _with_packages(option: str, draw: Callable[[Pictures], Drawn]) -> Drawn:
     try:
-        return installed("plot").plots(fit)
+        return draw(installed(option))
     except ImportError as error:
-        raise InputError(f"plot: {error.name} is not installed; `pip install {error.name}` first") from None
-
-
-def _pictures_named(name: str) -> Pictures:
-    (entry,) = entry_points(group=GROUP, name=name)
-    pictures: Pictures = entry.load()
-    return pictures
+        raise InputError(f"{option}: {error.name} is not installed; `pip install {error.name}` first") from None
 
 
 def installed(option: str) -> Pictures:

@@ -16,8 +16,8 @@ parameters, which is all that is known before measuring; one set is the 84 poses
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -25,7 +25,6 @@ import numpy as np
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.workers import results_in_order
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.fit import fit_data
@@ -33,10 +32,9 @@ from calib.core.fitting.settings import Settings
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 from calib.planning.selection import select
-from medrue.draws import PoseSet
+from medrue.draws import PoseSet, Work
 from medrue.imperfections import Imperfections, RailErrors, from_direction, imperfect_robot
 from medrue.paper_tables import table3
-from medrue.progress import StageProgress
 from medrue.tracker import REPEATS, SIGMA, measure
 
 COUNTS = (10, 14, 21, 28, 42, 63, 84, 126)
@@ -66,18 +64,21 @@ EXTENDED = Way("extended, both sides", True, "both")
 WAYS = (PAPER, EXTENDED, Way("extended, either side", True, "either"), Way("extended, one side", True, "one"))
 
 
+RAIL = RailErrors()
+"""Smaller errors of the rail of every robot that is measured from both sides."""
+
+
 @dataclass(frozen=True, eq=False)
-class BothSidesTask:
-    """One simulated robot, measured from both sides.
+class ExperimentTask:
+    """One simulated robot to measure.
 
     Attributes:
         robot: Nominal MedRUE with the paper's parameters.
-        extended: The extended model, nominal.
+        extended: The extended model, nominal; the truth is made of it.
         joints: Poses, (n, 6) [m, rad].
         sets: Pose sets to identify with.
         imperfections: Sizes of what the paper's parameters leave out.
-        rail: Smaller errors of the rail.
-        seed: Seed of this draw, the same as in `medrue.experiment.ExperimentTask`.
+        seed: Seed of this draw.
     """
 
     robot: Robot
@@ -85,7 +86,6 @@ class BothSidesTask:
     joints: FloatArray
     sets: tuple[PoseSet, ...]
     imperfections: Imperfections
-    rail: RailErrors
     seed: np.random.SeedSequence
 
 
@@ -117,14 +117,12 @@ class BothSides:
         extended: The extended model, nominal.
         joints: Poses, (n, 6) [m, rad].
         sets: Pose sets: the paper's 84 of O1, then one for each number of poses, chosen by O1 of the extended model.
-        rail: Smaller errors of the rail.
         draws: Simulated robots, those of the experiment.
     """
 
     extended: Robot
     joints: FloatArray
     sets: tuple[PoseSet, ...]
-    rail: RailErrors
     draws: tuple[BothSidesDraw, ...]
 
     def errors(self, way: Way, s: int) -> FloatArray:
@@ -148,52 +146,31 @@ def run_both_sides(
     counts: tuple[int, ...],
     imperfections: Imperfections,
     seeds: Sequence[np.random.SeedSequence],
-    executor: Executor | None,
-    progress: StageProgress,
+    work: Work,
 ) -> BothSides:
-    """Measure and calibrate the robots of the experiment from both sides.
+    """Measure and calibrate the robots of the experiment's seeds from both sides.
 
-    Args:
-        robot: MedRUE with the paper's parameters, nominal.
-        extended: The extended model, nominal.
-        joints: Poses, (n, 6) [m, rad].
-        first: The paper's set of poses.
-        counts: Numbers of poses.
-        imperfections: Sizes of what the paper's parameters leave out.
-        seeds: Seeds of the experiment's draws.
-        executor: Executor of the draws.
-        progress: Called with the progress of the work.
+    `joints` are the poses, (n, 6) [m, rad], of which the paper's set comes first, and then sets of these counts.
     """
-    sets, rail = [first], RailErrors()
-    with progress.stage("choosing poses for the extended model", len(counts)) as advance:
-        for chosen in results_in_order(_choose, [(extended, joints, count) for count in counts], executor):
-            sets.append(PoseSet(f"{len(chosen)}", chosen))
-            advance(1)
-    tasks = [BothSidesTask(robot, extended, joints, tuple(sets), imperfections, rail, seed) for seed in seeds]
-    draws = []
-    with progress.stage("measurements from both sides", len(tasks)) as advance:
-        for draw in results_in_order(both_sides_draw, tasks, executor):
-            draws.append(draw)
-            advance(1)
-    return BothSides(extended, joints, tuple(sets), rail, tuple(draws))
-
-
-def _choose(task: tuple[Robot, FloatArray, int]) -> IntArray:
-    robot, joints, count = task
-    return np.sort(select(robot, joints, count, "O1", sigma=SIGMA).chosen)
+    choose = partial(select, extended, joints, index="O1", sigma=SIGMA)
+    chosen = work.results("choosing poses for the extended model", choose, counts)
+    sets = (first, *(PoseSet(f"{len(s.chosen)}", np.sort(s.chosen)) for s in chosen))
+    tasks = [ExperimentTask(robot, extended, joints, sets, imperfections, seed) for seed in seeds]
+    draws = work.results("measurements from both sides", both_sides_draw, tasks)
+    return BothSides(extended, joints, sets, tuple(draws))
 
 
 @one_blas_thread
-def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
+def both_sides_draw(task: ExperimentTask) -> BothSidesDraw:
     """Build one imperfect robot, measure it from both sides, and calibrate it in every way from every set of poses."""
     actual = task.robot.with_parameters(table3().identified)
     truth = imperfect_robot(
-        task.extended, actual, task.imperfections, np.random.default_rng(task.seed), task.rail
+        task.extended, actual, task.imperfections, np.random.default_rng(task.seed), RAIL
     )  # the tilts are the first numbers of that generator, as in the experiment
     generator = np.random.default_rng(np.random.SeedSequence(task.seed.entropy, spawn_key=(*task.seed.spawn_key, 0)))
     n = len(task.joints)
     points = np.concatenate([truth.positions(task.joints, np.full(n, side)) for side in SIDES])
-    measured = measure(points, SIGMA, REPEATS, generator).positions.reshape(len(SIDES), n, 3)
+    measured = measure(points, generator).positions.reshape(len(SIDES), n, 3)
     either = generator.integers(len(SIDES), size=n)
     passive = task.robot.assemble(task.joints).passive
     after = np.full((len(WAYS), len(task.sets), *measured.shape), np.nan)

@@ -9,7 +9,7 @@ import numpy as np
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun
-from medrue.both_sides import EXTENDED, PAPER, WAYS, BothSides, Way
+from medrue.both_sides import EXTENDED, PAPER, RAIL, WAYS, BothSides, Way
 from medrue.ranking import standard_error
 from medrue.result_tables import Cell, ResultTable, TableColumn
 from medrue.study import STATISTICS, summary
@@ -28,16 +28,15 @@ BOTH_SIDES_NOTE = (
 _DECIDED = 0.5  # the data decide about a parameter if this part of its expected error, or less, is left
 
 
-def error_columns(both_sides: BothSides) -> list[TableColumn]:
+def both_sides_error_columns(both_sides: BothSides) -> list[TableColumn]:
     """Return Table IV's columns of the paper's poses, approached from both sides."""
     columns = []
     for header, way in (("O1, both sides", PAPER), ("O1, both sides, extended", EXTENDED)):
         draws = millimetres(summary(np.linalg.norm(both_sides.errors(way, 0), axis=2)))
         cells: list[Cell] = []
-        for k in range(len(STATISTICS)):
-            numbers = (draws[0, k], draws[:, k].mean(), standard_error(draws[:, k]))
-            cells += [*map(_cell, numbers), None]
-        columns.append(TableColumn(header, tuple(cells)))
+        for of_draws in draws.T[: len(STATISTICS)]:
+            cells += [of_draws[0], of_draws.mean(), float(standard_error(of_draws)), None]
+        columns.append(TableColumn(header, cells))
     return columns
 
 
@@ -47,8 +46,7 @@ def component_columns(both_sides: BothSides) -> list[TableColumn]:
     for header, way in (("both sides", PAPER), ("both sides, extended", EXTENDED)):
         for axis, values in zip("xyz", np.abs(both_sides.errors(way, 0)[0].T), strict=True):
             ours = millimetres(summary(values))[: len(STATISTICS)]
-            cells = [cell for value in ours for cell in (_cell(value), None)]
-            columns.append(TableColumn(f"{header} {axis}", tuple(cells)))
+            columns.append(TableColumn(f"{header} {axis}", [cell for value in ours for cell in (value, None)]))
     return columns
 
 
@@ -62,17 +60,14 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
     names = (f"{len(both_sides.sets[0].chosen)}, the paper's", *(pose_set.name for pose_set in both_sides.sets[1:]))
     columns = [TableColumn("poses", names)]
     for way in WAYS:
-        columns.append(_column(f"{way.name}, mean x error [mm]", millimetres(mean_x(both_sides, way).mean(axis=0))))
-    draws = mean_x(both_sides, EXTENDED)
+        mean = millimetres(mean_x(both_sides, way).mean(axis=0))
+        columns.append(TableColumn(f"{way.name}, mean x error [mm]", mean, 4))
+    draws, rms = mean_x(both_sides, EXTENDED), component_rms(both_sides, EXTENDED).T
     if len(draws) > 1:
-        columns.append(_column(f"{EXTENDED.name}, its standard error [mm]", millimetres(standard_error(draws))))
-    columns += [
-        _column(f"{EXTENDED.name}, RMS {axis} [mm]", millimetres(component_rms(both_sides, EXTENDED)[:, k]))
-        for k, axis in enumerate("xyz")
-    ]
-    columns.append(
-        _column(f"{EXTENDED.name}, RMS x over the noise's", component_rms(both_sides, EXTENDED)[:, 0] / NOISE)
-    )
+        columns.append(TableColumn(f"{EXTENDED.name}, its standard error [mm]", millimetres(standard_error(draws)), 4))
+    for axis, values in zip("xyz", rms, strict=True):
+        columns.append(TableColumn(f"{EXTENDED.name}, RMS {axis} [mm]", millimetres(values), 4))
+    columns.append(TableColumn(f"{EXTENDED.name}, RMS x over the noise's", rms[0] / NOISE, 4))
     return ResultTable(
         "pose_count",
         "What remains along x after calibration, by the number of poses",
@@ -84,7 +79,7 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
             f" {quantity_text(NOISE * np.sqrt(2 / np.pi), 'mm', '.4f')}",
             "both sides: two visits of each pose; either side: one visit, from a side that chance decides; one side:"
             " one visit, in the positive direction; empty: too few readings for the model",
-            f"{both_sides.rail}; the last two are in no model",
+            f"{RAIL}; the last two are in no model",
         ),
     )
 
@@ -92,31 +87,24 @@ def pose_count_table(both_sides: BothSides) -> ResultTable:
 def extended_parameter_table(both_sides: BothSides) -> ResultTable:
     """Parameters that the extended model has and the paper's lacks, if the readings determine them."""
     draw, parameters, terms = both_sides.draws[0], both_sides.extended.parameters, both_sides.extended.coefficients
-    scale = parameters.per_si
     expected = parameters.sigma_si
     tilts = tuple(f"{joint.name}.{tilt}" for joint in both_sides.extended.urdf.joints for tilt in ("ry", "rz"))
     lacking = [k >= terms.start or (p.name in tilts and p.name[:-3] != "base_origin") for k, p in enumerate(parameters)]
     shown = np.flatnonzero(lacking & (draw.std < _DECIDED * expected))
-
-    def column(header: str, values: FloatArray) -> TableColumn:
-        return TableColumn(header, tuple(float(value) for value in (values * scale)[shown]), 4)
-
+    numbers = {"expected error": expected, "actual": draw.actual, "identified": draw.values, "std": draw.std}
     return ResultTable(
         "extended",
         "Tilts and errors of the rail: the extended model finds them from the 84 poses of O1, reached from both sides",
         (
-            TableColumn("parameter", tuple(parameters[k].name for k in shown)),
-            TableColumn("unit", tuple(parameters[k].unit for k in shown)),
-            column("expected error", expected),
-            column("actual", draw.actual),
-            column("identified", draw.values),
-            column("std", draw.std),
+            TableColumn("parameter", [parameters[k].name for k in shown]),
+            TableColumn("unit", [parameters[k].unit for k in shown]),
+            *(TableColumn(name, (values * parameters.per_si)[shown], 4) for name, values in numbers.items()),
         ),
         (
             "simulated; first draw; only parameters whose std is less than half of the expected error: the others rest"
             " on their priors",
             "the actual value is half of the backlash at the rail's ends; a model without wear finds the average over"
-            f" the stroke, which is {200 / np.pi * both_sides.rail.wear:.1f} % larger",
+            f" the stroke, which is {200 / np.pi * RAIL.wear:.1f} % larger",
         ),
     )
 
@@ -164,14 +152,6 @@ def component_rms(both_sides: BothSides, way: Way) -> FloatArray:
     return np.array(
         [np.sqrt(np.mean(both_sides.errors(way, s) ** 2, axis=(0, 1))) for s in range(len(both_sides.sets))]
     )
-
-
-def _column(header: str, values: FloatArray) -> TableColumn:
-    return TableColumn(header, tuple(map(_cell, values)), 4)
-
-
-def _cell(value: float) -> float | None:
-    return None if np.isnan(value) else float(value)
 
 
 def _length(value: float) -> str:

@@ -13,7 +13,7 @@ import click
 import numpy as np
 
 from calib.core.base.files import write_folder
-from calib.core.base.units import from_unit, millimetres, quantity_text
+from calib.core.base.units import from_unit
 from calib.core.base.words import count_noun, listing
 from calib.core.base.workers import Workers
 from calib.core.commands.common import Output, shared_options
@@ -21,7 +21,6 @@ from calib.core.commands.program import run_program
 from calib.core.data.measurement_files import format_positions
 from calib.core.robots.loading import load
 from medrue import measurement_file, page_files, robot_file
-from medrue.progress import SilentProgress, TerminalBars
 
 if TYPE_CHECKING:
     from medrue.pages import Report
@@ -61,8 +60,7 @@ def group() -> None:
 def demo_command(out: str, output: Output) -> None:
     """Calibrate MedRUE from the simulated measurements that come with the program: the main job, start to end."""
     from calib import fit, read_measurements
-    from calib.core.results.result_content import to_dict
-    from calib.core.results.results import RESULT_FILES
+    from calib.core.results.results import RESULT_FILES, to_dict
 
     output.check(folders=(out,), names=RESULT_FILES)
     robot = load(robot_file())
@@ -108,21 +106,24 @@ def poses_command(out: str, output: Output) -> None:
     output.check(out)
     robot = load(robot_file())
     with output.working("solving 420 poses"):
-        targets = target_poses(robot)
+        poses = target_poses(robot)
+        facts: Any = pose_facts(robot, poses)
     comments = (
         "420 poses on a half cylinder, 300 mm by 700 mm, around a patient's leg",
         "joint values by inverse kinematics through the closed loops, nominal parameters; tool: nominal position",
     )
-    output.write(out, format_positions(robot, targets.poses, targets.positions, comments))
-    output.json(pose_facts(targets))
+    output.write(out, format_positions(robot, poses, robot.positions(poses.joints), comments))
+    output.json(facts)
+    (least, most), (mean, largest) = facts["q1_mm"], facts["probe_tilt_mean_and_largest_deg"]
     output.say(
-        f"{len(targets.poses)} poses written to {out}\n"
-        f"largest difference from the closed-form inverse: {targets.difference:.1e} (m, rad)\n"
-        f"q1 from {millimetres(targets.stroke[0]):.1f} to {quantity_text(targets.stroke[1], 'mm', '.1f')} of 700 mm;"
-        f" probe tilted by {quantity_text(targets.tilt[0], 'deg', '.1f')} on average,"
-        f" {quantity_text(targets.tilt[1], 'deg', '.1f')} at most\n"
-        f"nearest to a singular pose: smallest singular value of the loops {targets.singular_value:.3f}, smallest sine"
-        f" between two links {targets.sine:.3f} (0 is singular)"
+        f"{len(poses)} poses written to {out}\n"
+        "largest difference from the closed-form inverse:"
+        f" {facts['largest_difference_from_closed_form_m_rad']:.1e} (m, rad)\n"
+        f"q1 from {least:.1f} to {most:.1f} mm of 700 mm; probe tilted by {mean:.1f} deg on average, {largest:.1f} deg"
+        " at most\n"
+        "nearest to a singular pose: smallest singular value of the loops"
+        f" {facts['smallest_singular_value_of_the_loops']:.3f}, smallest sine between two links"
+        f" {facts['smallest_sine_between_links']:.3f} (0 is singular)"
     )
 
 
@@ -156,14 +157,13 @@ def study_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int
     """Reproduce the paper's simulation study: Tables I and II, Figures 4 and 5. Everything is simulated."""
     output.check(folders=(out,))
     with Workers(jobs) as executor:  # they start while the rest is loaded
+        from medrue.draws import Work
         from medrue.reports import study_report
         from medrue.study import QUICK, StudySize, run_study
 
         size = QUICK if quick else StudySize()
         size = replace(size, noise_draws=draws or size.noise_draws)
-        study = run_study(
-            load(robot_file()), size, seed, executor, SilentProgress() if output.quiet else TerminalBars()
-        )
+        study = run_study(load(robot_file()), size, seed, Work(executor, output.working))
     _finish(study_report(study), out, output, shown=("table2",))
 
 
@@ -192,6 +192,7 @@ def experiment_command(
     output.check(folders=(out,))
     with Workers(jobs) as executor:  # they start while the rest is loaded
         from medrue.both_sides import COUNTS, QUICK_COUNTS
+        from medrue.draws import Work
         from medrue.experiment import DRAWS, QUICK_DRAWS, run_experiment
         from medrue.imperfections import Imperfections
         from medrue.reports import experiment_report
@@ -202,11 +203,10 @@ def experiment_command(
             usual.lead if lead_um is None else lead_um * 1e-6 / 0.3,
             usual.tilt if tilt_deg is None else float(np.radians(tilt_deg)),
         )
-        count = draws or (QUICK_DRAWS if quick else DRAWS)
-        progress = SilentProgress() if output.quiet else TerminalBars()
         robots = load(robot_file()), load(robot_file("medrue_extended"))
-        counts = QUICK_COUNTS if quick else COUNTS
-        experiment = run_experiment(*robots, count, seed, executor, progress, imperfections, counts)
+        count, counts = (QUICK_DRAWS, QUICK_COUNTS) if quick else (DRAWS, COUNTS)
+        work = Work(executor, output.working)
+        experiment = run_experiment(*robots, draws or count, seed, work, imperfections, counts)
     _finish(experiment_report(experiment), out, output, shown=("table4", "table5"))
 
 
@@ -217,14 +217,13 @@ def touch_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int
     """Calibrate without a tracker: by touched sockets, and by encoders on passive joints. Everything is simulated."""
     output.check(folders=(out,))
     with Workers(jobs) as executor:  # they start while the rest is loaded
+        from medrue.draws import Work
         from medrue.reports import touch_report
         from medrue.touch import QUICK, SIZE, run_touch
 
         size = QUICK if quick else SIZE
         size = replace(size, noise_draws=draws or size.noise_draws)
-        study = run_touch(
-            load(robot_file()), size, seed, executor, SilentProgress() if output.quiet else TerminalBars()
-        )
+        study = run_touch(load(robot_file()), size, seed, Work(executor, output.working))
     _finish(touch_report(study), out, output, shown=("world", "shape"))
 
 

@@ -48,7 +48,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from medrue.paper_tables import PARAMETERS
-from medrue.rotations import homogeneous, rotation_x, rotation_y, rotation_z
 
 Array = NDArray[np.float64]
 Points = NDArray[np.complex128]
@@ -134,13 +133,7 @@ def forward(q: ArrayLike, parameters: ArrayLike) -> ClosedForm:
 
 
 def five_bar(i: int, q: Array, named: Named) -> FiveBar:
-    """The points of five-bar i (equations 4 to 12), NaN where it does not close.
-
-    Args:
-        i: 1 or 2.
-        q: Joint values, `(n, 6) [m, rad]`.
-        named: Parameters by name, each `(n,)`.
-    """
+    """The points of five-bar i (1 or 2) at joint values `(n, 6) [m, rad]` (equations 4 to 12), NaN if it stays open."""
     A, C, x_axis = anchors(i, named)
     L1, L2, L3, L4 = (named[f"L{i}{j}"] for j in (1, 2, 3, 4))
     angle_A = q[:, 2 * i - 1] + named[f"dq{2 * i}"]
@@ -223,3 +216,36 @@ def _tool_in_base(carriage: Array, E1: Points, R_base_tool: Array, named: Named)
     p_G1_tool = np.stack([named["d41"] + named["d5"] + named["xt"], named["yt"], named["zt"]], axis=1)
     p_base_tool: Array = p_base_E1 + p_E1_G1 + np.einsum("nij,nj->ni", R_base_tool, p_G1_tool)
     return p_base_tool
+
+
+def rotation_x(angle: Array) -> Array:
+    """Rotations about x, `(n, 3, 3)`, for angles `(n,) [rad]`."""
+    return _rotation(angle, 1, 2)
+
+
+def rotation_y(angle: Array) -> Array:
+    """Rotations about y, `(n, 3, 3)`, for angles `(n,) [rad]`."""
+    return _rotation(angle, 2, 0)
+
+
+def rotation_z(angle: Array) -> Array:
+    """Rotations about z, `(n, 3, 3)`, for angles `(n,) [rad]`."""
+    return _rotation(angle, 0, 1)
+
+
+def _rotation(angle: Array, first: int, second: int) -> Array:
+    """Rotations that take axis `first` towards axis `second`."""
+    R = np.tile(np.eye(3), (len(angle), 1, 1))
+    R[:, first, first] = R[:, second, second] = np.cos(angle)
+    R[:, second, first] = np.sin(angle)
+    R[:, first, second] = -np.sin(angle)
+    return R
+
+
+def homogeneous(R: Array, p: Array) -> Array:
+    """Matrices `(n, 4, 4)` from rotations `(n, 3, 3)` and points `(n, 3)`."""
+    T = np.zeros((len(p), 4, 4))
+    T[:, :3, :3] = R
+    T[:, :3, 3] = p
+    T[:, 3, 3] = 1.0
+    return T

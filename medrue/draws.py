@@ -13,7 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,7 +24,7 @@ from calib import fit
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import NotConvergedError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.workers import results_in_order
+from calib.core.base.workers import Progress, results_in_order
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.numerics import linalg
@@ -29,12 +32,31 @@ from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 CHUNK = 10
 """Draws that are done together."""
 _MAX_STEPS = 12
-_SMALL_STEP = (
-    0.03  # part of the residual that the last step explains; the next one, its square at most, is not worth it
-)
+_SMALL_STEP = 0.03
+"""Part of the residual that the last step explains; the next one, its square at most, is not worth it."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """How simulations are run; numbers do not depend on it.
+
+    Attributes:
+        executor: Executor of the draws; this process if there is none.
+        show: Shows the progress of a stage of the work, by its name (`calib.core.commands.common.Output.working`).
+    """
+
+    executor: Executor | None = None
+    show: Callable[[str], AbstractContextManager[Progress | None]] = lambda _: nullcontext()
+
+    def results(self, stage: str, function: Callable[[Item], Result], tasks: Sequence[Item]) -> list[Result]:
+        """Return the result of each task."""
+        with self.show(stage) as progress:
+            return list(results_in_order(function, tasks, self.executor, progress))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +102,8 @@ class DrawTask:
 
     def chunks(self) -> list[DrawTask]:
         """Return the same draws in chunks of `CHUNK`."""
-        return [
-            DrawTask(self.robot, self.joints, self.truth, self.sets, self.sigma, self.seeds[start : start + CHUNK])
-            for start in range(0, len(self.seeds), CHUNK)
-        ]
+        starts = range(0, len(self.seeds), CHUNK)
+        return [replace(self, seeds=self.seeds[start : start + CHUNK]) for start in starts]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,40 +118,21 @@ class DrawOutcome:
     values: FloatArray
     distances: FloatArray
 
-    @staticmethod
-    def join(parts: Sequence[DrawOutcome]) -> DrawOutcome:
-        """Put the draws of several outcomes one after another."""
-        return DrawOutcome(
-            np.concatenate([part.values for part in parts]), np.concatenate([part.distances for part in parts])
-        )
-
 
 def measurements(robot: Robot, joints: FloatArray, positions: FloatArray, index: IntArray) -> Measurements:
     """Return positions of the tool (n, 3) [m], one at each of the poses `index`, as measurements."""
     return as_measurements(robot, joints[index], positions[index], [str(k + 1) for k in index])
 
 
-def run(tasks: Sequence[DrawTask], executor: Executor | None, done: Callable[[int], None]) -> list[DrawOutcome]:
-    """Run tasks.
-
-    Args:
-        tasks: The tasks.
-        executor: Their executor.
-        done: Called with the number of calibrations finished, for a progress bar.
-
-    Returns:
-        One outcome for each task.
-    """
-    chunks = [chunk for task in tasks for chunk in task.chunks()]
-    parts = []
-    for chunk, part in zip(chunks, results_in_order(run_chunk, chunks, executor), strict=True):
-        parts.append(part)
-        done(len(chunk.seeds) * len(chunk.sets))
+def run(tasks: Sequence[DrawTask], work: Work) -> list[DrawOutcome]:
+    """Return the outcome of each task."""
+    chunks = [task.chunks() for task in tasks]
+    parts = iter(work.results("simulated calibrations", run_chunk, [chunk for some in chunks for chunk in some]))
     outcomes = []
-    for task in tasks:
-        count = len(task.chunks())
-        outcomes.append(DrawOutcome.join(parts[:count]))
-        parts = parts[count:]
+    for some in chunks:
+        own = list(islice(parts, len(some)))
+        values, distances = (np.concatenate([getattr(part, name) for part in own]) for name in ("values", "distances"))
+        outcomes.append(DrawOutcome(values, distances))
     return outcomes
 
 
@@ -156,11 +157,7 @@ def run_chunk(task: DrawTask) -> DrawOutcome:
 class Calibrator:
     """Calibrates from one set of poses, again and again.
 
-    Args:
-        task: Robot, poses and truth.
-        pose_set: Poses to identify with.
-        start: A robot identified from exact measurements.
-        nearby: Its passive joints at the candidates, (n, n_passive) [m, rad].
+    It starts from a robot identified from exact measurements, with its passive joints nearby, (n, n_passive) [m, rad].
     """
 
     def __init__(self, task: DrawTask, pose_set: PoseSet, start: Robot, nearby: FloatArray) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.units import millimetres
 from calib.core.numerics.rigid import best_transform
-from medrue.closed_form import base_in_world, forward, name_parameters
+from medrue.closed_form import base_in_world, forward, homogeneous, name_parameters, rotation_x, rotation_y, rotation_z
 from medrue.closed_form_inverse import WorkingMode, inverse
 from medrue.paper_tables import (
     ANCHORS,
@@ -39,7 +39,6 @@ from medrue.paper_tables import (
     table1,
     table3,
 )
-from medrue.rotations import homogeneous, rotation_x, rotation_y, rotation_z
 from medrue.workspace import LEAN_AT_END, RADIUS, TWIST_SPREAD, target_workspace
 
 GROUPS = (
@@ -97,11 +96,7 @@ def base_placed(nominal: FloatArray, true: FloatArray) -> FloatArray:
 
 
 def signs(q: FloatArray) -> Iterator[tuple[DistanceSummary, DistanceSummary]]:
-    """Errors of Tables II and IV with the deviations of every combination of groups reversed.
-
-    Args:
-        q: Joint values, (n, 6) [m, rad].
-    """
+    """Errors of Tables II and IV at joint values (n, 6) [m, rad], any combination of groups having the other sign."""
     nominal = table1().nominal
     for reversed_groups in product((1.0, -1.0), repeat=len(GROUPS)):
         factor = np.ones(len(PARAMETERS))
@@ -112,11 +107,7 @@ def signs(q: FloatArray) -> Iterator[tuple[DistanceSummary, DistanceSummary]]:
 
 
 def rotation_orders(q: FloatArray) -> dict[str, tuple[DistanceSummary, DistanceSummary]]:
-    """Errors of Tables II and IV with the base's three angles read otherwise.
-
-    Args:
-        q: Joint values, (n, 6) [m, rad].
-    """
+    """Errors of Tables II and IV at joint values (n, 6) [m, rad], the base's three angles read otherwise."""
     nominal = forward(q, table1().nominal).p_world_tool
     errors_by_order: dict[str, list[DistanceSummary]] = {"Rx Ry Rz": [], "transposed": []}
     for parameters in _robots():
@@ -132,9 +123,7 @@ def rotation_orders(q: FloatArray) -> dict[str, tuple[DistanceSummary, DistanceS
 def placements(step: float = 0.1, turns: int = 8) -> Iterator[tuple[DistanceSummary, DistanceSummary]]:
     """Errors of Tables II and IV on 60 poses of every reachable half cylinder.
 
-    Args:
-        step: Distance of the places tried for its axis [m].
-        turns: Number of directions of its middle.
+    The places of its axis are `step` apart [m], the directions of its middle are `turns`.
     """
     n = 60
     steps = np.arange(n)

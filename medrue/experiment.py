@@ -13,50 +13,26 @@ where the remaining error comes from; and the same robots measured and modelled 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.workers import results_in_order
 from calib.core.fitting.fit import fit_data
 from calib.core.fitting.settings import Settings
 from calib.core.robots.robot import Robot
-from medrue.both_sides import COUNTS, BothSides, run_both_sides
-from medrue.draws import PoseSet, measurements
+from medrue.both_sides import COUNTS, BothSides, ExperimentTask, run_both_sides
+from medrue.draws import PoseSet, Work, measurements
 from medrue.imperfections import Imperfections, approach_in_order, imperfect_robot
 from medrue.paper_tables import table3
 from medrue.poses import target_poses
-from medrue.progress import StageProgress
 from medrue.study import choose_sets
 from medrue.tracker import REPEATS, SIGMA, measure
 
 DRAWS = 20
 """Simulated experiments: robots with other imperfections and other noise."""
 QUICK_DRAWS = 2
-
-
-@dataclass(frozen=True, eq=False)
-class ExperimentTask:
-    """One simulated experiment.
-
-    Attributes:
-        robot: Nominal MedRUE.
-        extended: The extended model, nominal; the truth is made of it.
-        joints: Poses, (n, 6) [m, rad].
-        sets: Pose sets to identify with.
-        imperfections: Sizes of what the parameters leave out.
-        seed: Seed of this draw.
-    """
-
-    robot: Robot
-    extended: Robot
-    joints: FloatArray
-    sets: tuple[PoseSet, ...]
-    imperfections: Imperfections
-    seed: np.random.SeedSequence
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,37 +99,24 @@ def run_experiment(
     extended: Robot,
     draws: int,
     seed: int,
-    executor: Executor | None,
-    progress: StageProgress,
+    work: Work,
     imperfections: Imperfections,
     counts: tuple[int, ...] = COUNTS,
 ) -> Experiment:
-    """Run the simulated experiment.
+    """Run the simulated experiment of MedRUE and the extended model, both with nominal parameters.
 
-    Args:
-        robot: MedRUE with nominal parameters.
-        extended: The extended model with nominal parameters.
-        draws: How many experiments to simulate, with all causes and with each alone.
-        seed: Seed; the same one gives the same numbers, with any workers.
-        executor: Executor of the draws.
-        progress: Called with the progress of the work.
-        imperfections: Sizes of what the parameters leave out.
-        counts: Numbers of poses to measure from both sides.
+    So many draws are done with all causes and with each alone, and then from both sides, with these counts of poses.
+    The same seed gives the same numbers.
     """
-    joints = target_poses(robot).poses.joints
-    with progress.stage("choosing poses", 6) as advance:
-        _, sets = choose_sets(robot, joints, executor, advance)
+    joints = target_poses(robot).joints
+    _, sets = choose_sets(robot, joints, work)
     seeds = np.random.SeedSequence(seed).spawn(draws)
     tasks = [ExperimentTask(robot, extended, joints, sets, imperfections, child) for child in seeds]
     for alone in imperfections.causes.values():
         tasks += [ExperimentTask(robot, extended, joints, sets[:1], alone, child) for child in seeds]
-    drawn = []
-    with progress.stage("simulated experiments", len(tasks)) as advance:
-        for draw in results_in_order(experiment_draw, tasks, executor):
-            drawn.append(draw)
-            advance(1)
+    drawn = work.results("simulated experiments", experiment_draw, tasks)
     causes = {name: tuple(drawn[k * draws : (k + 1) * draws]) for k, name in enumerate(imperfections.causes, start=1)}
-    both_sides = run_both_sides(robot, extended, joints, sets[0], counts, imperfections, seeds, executor, progress)
+    both_sides = run_both_sides(robot, extended, joints, sets[0], counts, imperfections, seeds, work)
     return Experiment(robot, joints, sets, imperfections, tuple(drawn[:draws]), causes, both_sides, seed)
 
 
@@ -165,7 +128,7 @@ def experiment_draw(task: ExperimentTask) -> ExperimentDraw:
     truth = imperfect_robot(task.extended, actual, task.imperfections, generator)
     order = generator.permutation(len(task.joints))
     approach = approach_in_order(task.joints[:, 0], order, float(task.robot.home[0]))
-    readings = measure(truth.positions(task.joints, approach), SIGMA, REPEATS, generator)
+    readings = measure(truth.positions(task.joints, approach), generator)
     after, values, std = [], [], []
     for pose_set in task.sets:
         data = measurements(task.robot, task.joints, readings.positions, pose_set.chosen)

@@ -11,20 +11,20 @@ from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun
 from medrue.both_sides_tables import (
     BOTH_SIDES_NOTE,
+    both_sides_error_columns,
     both_sides_findings,
     both_sides_tables,
     component_columns,
-    error_columns,
 )
 from medrue.error_before import base_placed
 from medrue.experiment import Experiment, ExperimentDraw
 from medrue.imperfections import Imperfections
-from medrue.paper_tables import error_table, table1, table3
+from medrue.paper_tables import error_table, table3
 from medrue.ranking import Ranking, rank, ranking_table, standard_error
-from medrue.result_tables import Cell, ResultTable, TableColumn
+from medrue.result_tables import ResultTable, TableColumn
 from medrue.study import STATISTICS, summary
-from medrue.tracker import REPEATS, SIGMA
-from medrue.world_frame import OUTLIER_PROBABILITY
+from medrue.study_tables import error_columns, parameter_columns, printed_errors
+from medrue.tracker import OUTLIER_PROBABILITY, REPEATS, SIGMA
 
 
 def experiment_tables(experiment: Experiment) -> tuple[ResultTable, ...]:
@@ -41,26 +41,18 @@ def experiment_tables(experiment: Experiment) -> tuple[ResultTable, ...]:
 
 def parameter_table(experiment: Experiment) -> ResultTable:
     """Table III: the parameters that the 84 poses of O1 identify."""
-    parameters = experiment.robot.parameters
-    scale = parameters.per_si
     draw, free = experiment.draws[0], experiment.robot.is_free
-
-    def column(header: str, values: FloatArray) -> TableColumn:
-        return TableColumn(header, tuple(None if np.isnan(value) else float(value) for value in values * scale))
-
+    columns = {
+        "nominal": table3().nominal,
+        "actual (paper: identified)": table3().identified,
+        "identified": draw.values[0],
+        "std": np.where(free, draw.std[0], np.nan),
+        "identified - actual": np.where(free, draw.values[0] - table3().identified, np.nan),
+    }
     return ResultTable(
         "table3",
         "Table III: parameters identified in the simulated experiment from the 84 poses of O1",
-        (
-            TableColumn("parameter", tuple(parameter.name for parameter in parameters)),
-            TableColumn("unit", tuple(parameter.unit for parameter in parameters)),
-            column("nominal", table3().nominal),
-            column("actual (paper: identified)", table3().identified),
-            column("identified", draw.values[0]),
-            column("std", np.where(free, draw.std[0], np.nan)),
-            column("identified - actual", np.where(free, draw.values[0] - table3().identified, np.nan)),
-            TableColumn("redundant", tuple("yes" if name in table1().redundant else "no" for name in table1().names)),
-        ),
+        parameter_columns(experiment.robot, columns),
         (
             f"simulated; seed {experiment.seed}; the simulated robot has the parameters that the paper identified",
             _share_beyond_std(draw, free),
@@ -81,26 +73,18 @@ def index_table(experiment: Experiment) -> ResultTable:
     after = np.array([[_summary(experiment, draw, name)[1] for name in experiment.names] for draw in experiment.draws])
     before = _summary(experiment, experiment.draws[0], "O1")[0]
     printed, draws = error_table(4), count_noun(len(after), "draw")
-    rows: list[tuple[str, Cell, FloatArray]] = []
+    rows: list[tuple[str, float, FloatArray]] = []
     for k, statistic in enumerate(STATISTICS):
-        paper = [printed[name][statistic] if name in printed else np.nan for name in experiment.names]
         rows += [
             (f"{statistic}, single draw", float(before[k]), after[0, :, k]),
-            (f"{statistic}, mean over {draws}", None, after[:, :, k].mean(axis=0)),
-            (f"{statistic}, standard error over {draws}", None, standard_error(after[:, :, k])),
-            (f"{statistic}, paper", printed["before"][statistic], np.array(paper)),
+            (f"{statistic}, mean over {draws}", np.nan, after[:, :, k].mean(axis=0)),
+            (f"{statistic}, standard error over {draws}", np.nan, standard_error(after[:, :, k])),
+            (f"{statistic}, paper", printed["before"][statistic], printed_errors(4, statistic, experiment.names)),
         ]
-    columns = [
-        TableColumn("error [mm]", tuple(row[0] for row in rows)),
-        TableColumn("before", tuple(row[1] for row in rows)),
-    ]
-    for s, name in enumerate(experiment.names):
-        columns.append(TableColumn(name, tuple(None if np.isnan(row[2][s]) else float(row[2][s]) for row in rows)))
-    columns += error_columns(experiment.both_sides)
     return ResultTable(
         "table4",
         "Table IV: position errors in the simulated experiment, by the index that chose the 84 poses",
-        tuple(columns),
+        (*error_columns(rows, experiment.names), *both_sides_error_columns(experiment.both_sides)),
         (
             f"simulated; distance from the measured position at the 336 other poses; seed {experiment.seed}",
             "before: the nominal robot at the validation poses of O1; the first draw is the single one",
@@ -121,14 +105,14 @@ def axis_table(experiment: Experiment) -> ResultTable:
     printed = error_table(5)
     columns = [
         TableColumn(
-            "error [mm]", tuple(f"{statistic}{who}" for statistic in STATISTICS for who in (", simulated", ", paper"))
+            "error [mm]", [f"{statistic}{who}" for statistic in STATISTICS for who in (", simulated", ", paper")]
         )
     ]
     for when, errors in zip(("before", "after"), experiment.validation(experiment.draws[0], "O1"), strict=True):
         for axis, values in zip("xyz", np.abs(errors.T), strict=True):
             ours = dict(zip(STATISTICS, millimetres(summary(values)), strict=False))
             cells = [cell for key in STATISTICS for cell in (float(ours[key]), printed[f"{when}_{axis}"][key])]
-            columns.append(TableColumn(f"{when} {axis}", tuple(cells)))
+            columns.append(TableColumn(f"{when} {axis}", cells))
     columns += component_columns(experiment.both_sides)
     return ResultTable(
         "table5",
@@ -148,9 +132,9 @@ def cause_table(experiment: Experiment) -> ResultTable:
         "tracker noise alone": f"{quantity_text(SIGMA, 'um', '.0f')}, {count_noun(REPEATS, 'reading')} averaged",
         **experiment.imperfections.sizes,
     }
-    columns = [TableColumn("cause", tuple(rows)), TableColumn("size", tuple(sizes.get(name, "") for name in rows))]
-    for k, axis in enumerate(("x", "y", "z", "distance")):
-        columns.append(TableColumn(f"RMS {axis} [mm]", tuple(float(values[k]) for values in rows.values()), 4))
+    columns = [TableColumn("cause", rows), TableColumn("size", [sizes.get(name, "") for name in rows])]
+    for axis, values in zip(("x", "y", "z", "distance"), zip(*rows.values(), strict=True), strict=True):
+        columns.append(TableColumn(f"RMS {axis} [mm]", values, 4))
     notes = [
         "simulated; each cause with the tracker's noise, calibrated from the poses of O1, at the 336 others; root mean"
         f" square over the same {count_noun(len(experiment.draws), 'draw')} in every row"

@@ -33,6 +33,8 @@ from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Context
 
 TILTED_JOINTS = ("q2", "q3", "q4", "q5", "B1", "D1", "B2", "D2")
+_CAUSES = {"lead error": "lead", "links out of perpendicular": "tilt", "backlash of the rail": "backlash"}
+"""Causes of errors, and the attribute of `Imperfections` with the size of each."""
 STROKE = 0.7
 """Stroke of the rail [m]."""
 
@@ -55,12 +57,8 @@ class Imperfections:
     def causes(self) -> dict[str, Imperfections]:
         """Each cause alone, by its name."""
         none = Imperfections(0.0, 0.0, 0.0)
-        return {
-            "tracker noise alone": none,
-            "lead error": replace(none, lead=self.lead),
-            "links out of perpendicular": replace(none, tilt=self.tilt),
-            "backlash of the rail": replace(none, backlash=self.backlash),
-        }
+        alone = {name: replace(none, **{size: getattr(self, size)}) for name, size in _CAUSES.items()}
+        return {"tracker noise alone": none, **alone}
 
     @property
     def sizes(self) -> dict[str, str]:
@@ -73,12 +71,8 @@ class Imperfections:
 
     def __str__(self) -> str:
         """The imperfections in words."""
-        present = {
-            "lead error": self.lead,
-            "links out of perpendicular": self.tilt,
-            "backlash of the rail": self.backlash,
-        }
-        return ", ".join(f"{name} of {self.sizes[name]}" for name, size in present.items() if size) or "nothing more"
+        present = [f"{name} of {self.sizes[name]}" for name, size in _CAUSES.items() if getattr(self, size)]
+        return ", ".join(present) or "nothing more"
 
 
 @dataclass(frozen=True)
@@ -146,10 +140,7 @@ def from_direction(approach: FloatArray) -> FloatArray:
 def approach_in_order(q1: FloatArray, order: IntArray, home: float) -> FloatArray:
     """Return in which direction q1 moves to each pose, +1 or -1, (n,).
 
-    Args:
-        q1: q1 of each pose, (n,) [m].
-        order: Poses in the order of the visits, (n,).
-        home: Where the first visit comes from [m].
+    q1 is that of each pose, (n,) [m], `order` that of the visits, (n,); the first comes from home [m].
     """
     visited = q1[order]
     before = np.concatenate([[home], visited[:-1]])
@@ -165,14 +156,9 @@ def imperfect_robot(
     generator: np.random.Generator,
     rail: RailErrors = STRAIGHT,
 ) -> ImperfectRobot:
-    """Make a robot imperfect.
+    """Make the extended model of a robot from its actual one, the paper's with its true parameters.
 
-    Args:
-        extended: The extended model.
-        actual: The paper's model with its true parameters.
-        imperfections: Sizes.
-        generator: Source of the tilts, and then of the phase of the screw's turns if it has an error of these.
-        rail: Smaller errors of the rail.
+    The generator draws the tilts, and then the phase of the screw's turns if it has an error of these.
     """
     tilts = generator.normal(0.0, imperfections.tilt, (len(TILTED_JOINTS), 2))
     placements = {}
@@ -189,12 +175,7 @@ def imperfect_robot(
 
 
 def geometry(extended: Robot, like: Robot) -> dict[str, float]:
-    """Return the values of the extended model's origins that give it the geometry of another robot [m, rad].
-
-    Args:
-        extended: A robot whose parameters are all six components of each origin.
-        like: A robot of the same URDF.
-    """
+    """Return the values of the extended model's origins that give it the geometry of a robot of its URDF [m, rad]."""
     values: dict[str, float] = {}
     for joint in extended.urdf.joints:
         placement, nominal = like.mechanism.placement(joint.name), extended.nominal.placement(joint.name)

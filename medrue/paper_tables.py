@@ -59,23 +59,18 @@ class Table1:
     identified_with_noise: NDArray[np.float64]
     redundant: tuple[str, ...]
 
+    @property
+    def reach(self) -> NDArray[np.float64]:
+        """Largest errors of the actual parameters that the paper draws, (36,) [m, rad]."""
+        return np.where(np.array(self.units) == "m", 2e-3, np.radians(1.5))
+
 
 @cache
 def table1() -> Table1:
-    """Read Table I from the package.
-
-    Returns:
-        The table; its arrays are read-only.
-
-    Raises:
-        ValueError: The file does not list the parameters in the expected order, or holds an unknown unit.
-    """
-    rows = _rows("table1.csv")
-    names = tuple(row["parameter"] for row in rows)
-    if names != PARAMETERS:
-        raise ValueError(f"paper/table1.csv lists {names}, expected {PARAMETERS}")
+    """Read Table I from the package; its arrays are read-only."""
+    rows = _parameter_rows("table1.csv")
     return Table1(
-        names=names,
+        names=PARAMETERS,
         units=tuple("m" if row["unit"] == "mm" else "rad" for row in rows),
         nominal=_column(rows, "nominal"),
         nominal_as_printed=_column(rows, "nominal_as_printed"),
@@ -101,15 +96,8 @@ class Table3:
 
 @cache
 def table3() -> Table3:
-    """Read Table III from the package.
-
-    Raises:
-        ValueError: The file does not list the parameters in the expected order, or holds an unknown unit.
-    """
-    rows = _rows("table3.csv")
-    names = tuple(row["parameter"] for row in rows)
-    if names != PARAMETERS:
-        raise ValueError(f"paper/table3.csv lists {names}, expected {PARAMETERS}")
+    """Read Table III from the package; its arrays are read-only."""
+    rows = _parameter_rows("table3.csv")
     return Table3(nominal=_column(rows, "nominal"), identified=_column(rows, "identified"))
 
 
@@ -119,13 +107,9 @@ ErrorTable = Mapping[str, Mapping[str, float]]
 
 @cache
 def error_table(number: int) -> ErrorTable:
-    """Read a table of position errors from the package.
+    """Read a table of printed position errors [mm] from the package, by column, then by row; it is read-only.
 
-    Args:
-        number: 2: simulation, by index; 4: experiment, by index; 5: experiment with O1, by axis.
-
-    Returns:
-        Printed errors in mm by column, then by row; read-only.
+    2: simulation, by index; 4: experiment, by index; 5: experiment with O1, by axis.
     """
     rows = _rows(f"table{number}.csv")
     columns = [name for name in rows[0] if name != "error_mm"]
@@ -139,6 +123,13 @@ def _rows(name: str) -> list[dict[str, str]]:
     return list(csv.DictReader(text.splitlines()))
 
 
+def _parameter_rows(name: str) -> list[dict[str, str]]:
+    """Rows of a table of parameters."""
+    rows = _rows(name)
+    assert tuple(row["parameter"] for row in rows) == PARAMETERS, name
+    return rows
+
+
 def _column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:
     """One column of the file in SI units, read-only, `(36,)`."""
     values = np.array([_to_si(row[name], row["unit"]) for row in rows])
@@ -148,8 +139,4 @@ def _column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:
 
 def _to_si(text: str, unit: str) -> float:
     """A number in mm or degrees as m or rad."""
-    if unit == "mm":
-        return float(Decimal(text) / 1000)
-    if unit == "deg":
-        return math.radians(float(text))
-    raise ValueError(f"paper: unit {unit!r} is neither mm nor deg")
+    return float(Decimal(text) / 1000) if unit == "mm" else math.radians(float(text))

@@ -208,23 +208,9 @@ def _direction(values: FloatArray, five_bar: int) -> float:
 
 def _read_parameters(origins: Mapping[str, Origin]) -> FloatArray:
     """Invert `_xyz` and `_rpy`: the 36 values that a URDF's origins stand for."""
-    values = np.zeros(len(PARAMETERS))
-
-    def put(parameter: str, value: float) -> None:
-        values[_INDEX[parameter]] = value
-
-    for name, places in _COORDINATES.items():
-        if len(places) != len({coordinate for _, coordinate, _ in places}):
-            continue  # a difference or sum of two parameters: below
-        for parameter, coordinate, factor in places:
-            put(parameter, factor * origins[name].xyz[coordinate])
-    put("d41", values[_INDEX["d31"]] - origins["beta"].xyz[0])
-    put("d42", origins["slide"].xyz[0] - values[_INDEX["d41"]])
-    put("d5", origins["F6_origin"].xyz[0] - values[_INDEX["d41"]])
-    for name, angles in _TURNING.items():
-        for row, angle in enumerate(angles):
-            put(angle, origins[name].rpy[row])
-    for name, five_bar in _FIVE_BARS.items():
-        values[_INDEX[_TURNING[name][0]]] -= _direction(values, five_bar)
-    # differences such as 0.1668 - 0.1253 leave the last digit open: 1e-15 m is far below any drawing
-    return np.round(values, 15) + 0.0  # no negative zeros
+    xyz, rpy = (np.array([getattr(origins[name], part) for name in _COORDINATES]) for part in ("xyz", "rpy"))
+    n = len(PARAMETERS)
+    lengths = np.linalg.lstsq(_ALL_XYZ.reshape(-1, n), xyz.ravel(), rcond=None)[0]
+    angles = np.linalg.lstsq(_ALL_RPY.reshape(-1, n), (rpy - _rpy(lengths)).ravel(), rcond=None)[0]
+    # the last digit is open: 1e-15 m is far below any drawing
+    return np.round(lengths + angles, 15) + 0.0  # no negative zeros

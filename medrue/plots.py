@@ -84,12 +84,7 @@ def exchange_figure(selection: Selection) -> Figure:
 
 @with_style
 def before_after_figure(before: FloatArray, after: FloatArray, title: str) -> Figure:
-    """Position errors at the validation poses before and after calibration, on the same axes (Figures 5 and 7).
-
-    Args:
-        before, after: Distances, (n,) [m].
-        title: Title.
-    """
+    """Position errors (n,) [m] at the validation poses before and after, on the same axes (Figures 5 and 7)."""
     figure = Figure(figsize=(10, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, values, name, colour in ((left, before, "before", ORANGE), (right, after, "after", BLUE)):
@@ -106,12 +101,7 @@ def before_after_figure(before: FloatArray, after: FloatArray, title: str) -> Fi
 
 @with_style
 def axis_figure(before: FloatArray, after: FloatArray, title: str) -> Figure:
-    """Components of the position errors before and after calibration, on the same axes (Figure 8).
-
-    Args:
-        before, after: Errors, (n, 3) [m].
-        title: Title.
-    """
+    """Components of position errors (n, 3) [m] before and after calibration, on the same axes (Figure 8)."""
     figure = Figure(figsize=(10, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, errors, name in ((left, before, "before"), (right, after, "after")):
@@ -192,11 +182,7 @@ def spread_figure(names: tuple[str, ...], errors: FloatArray, floors: FloatArray
 
 @with_style
 def cause_figure(causes: Mapping[str, FloatArray]) -> Figure:
-    """Error along each axis after calibration, by cause.
-
-    Args:
-        causes: Root mean square along x, y and z by cause, (3,) [mm].
-    """
+    """Error along each axis after calibration: root mean square along x, y and z by cause, (3,) [mm]."""
     figure = Figure(figsize=(8, 4), layout="constrained")
     axes = figure.add_subplot()
     places = np.arange(len(causes))

@@ -19,6 +19,7 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.words import count_noun
+from calib.fleets.comparing_results import holm
 from medrue.result_tables import Cell, ResultTable, TableColumn
 
 LUCK = 1e-3
@@ -80,12 +81,7 @@ class Ranking:
 
 
 def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
-    """Rank sets of poses.
-
-    Args:
-        names: The sets.
-        errors: One error for each draw and set, (n_draws, n_sets).
-    """
+    """Rank sets of poses by one error for each draw and set, (n_draws, n_sets)."""
     means = errors.mean(axis=0)
     order = np.argsort(means, kind="stable")
     n = len(errors)
@@ -93,32 +89,14 @@ def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = differences.mean(axis=0) / standard_error(differences)
         luck = 2 * scipy.special.stdtr(n - 1, -np.abs(steps)) if n > 1 else np.full(steps.shape, np.nan)
-    return Ranking(tuple(names[k] for k in order), means[order], n, steps, _is_sure(luck) & (steps > 0))
-
-
-def _is_sure(luck: FloatArray) -> BoolArray:
-    """Which pairs differ surely, after Holm, (n, n): least probable first, until one may be luck.
-
-    Args:
-        luck: Probability of each pair's difference by luck alone, symmetric, NaN where not known, (n, n).
-    """
     upper = np.triu_indices(len(luck), 1)
-    probabilities = np.where(np.isnan(luck[upper]), 1.0, luck[upper])
     sure = np.zeros(luck.shape, dtype=bool)
-    for done, k in enumerate(np.argsort(probabilities, kind="stable")):
-        if probabilities[k] > LUCK / (len(probabilities) - done):
-            break
-        i, j = upper[0][k], upper[1][k]
-        sure[i, j] = sure[j, i] = True
-    return sure
+    sure[upper] = holm(np.nan_to_num(luck[upper], nan=1.0)) <= LUCK
+    return Ranking(tuple(names[k] for k in order), means[order], n, steps, (sure | sure.T) & (steps > 0))
 
 
 def ranking_table(rankings: dict[str, Ranking]) -> ResultTable:
-    """Every pair of sets.
-
-    Args:
-        rankings: Rankings of the same sets over the same draws, of errors in mm, by what was ranked.
-    """
+    """Return every pair of sets, from rankings of them over the same draws, of errors in mm, by what was ranked."""
     first = next(iter(rankings.values()))
     names = sorted(first.names)
     rows: list[list[Cell]] = []
@@ -143,10 +121,9 @@ def ranking_table(rankings: dict[str, Ranking]) -> ResultTable:
 
 def standard_error(draws: FloatArray) -> FloatArray:
     """Standard error of the mean over the first axis, (n_draws, ...) -> (...); NaN for a single draw."""
-    n = len(draws)
-    if n < 2:
+    if len(draws) < 2:
         return np.full(draws.shape[1:], np.nan)
-    return np.asarray(draws.std(axis=0, ddof=1) / np.sqrt(n))
+    return np.asarray(scipy.stats.sem(draws))
 
 
 def agreement(first: dict[str, float], second: dict[str, float]) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from calib.core.base.units import quantity_text
 from calib.core.base.words import count_noun
 from calib.core.data.measurement_files import format_measurements
-from medrue.both_sides import WAYS, BothSides
+from medrue.both_sides import RAIL, WAYS, BothSides
 from medrue.both_sides_tables import NOISE, mean_x
 from medrue.experiment import Experiment
 from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
@@ -90,7 +90,7 @@ def experiment_report(experiment: Experiment) -> Report:
         " identified (Table III), and causes to which the paper attributes the remaining error:"
         f" {experiment.imperfections}. A simulated tracker (40 µm, five readings averaged) stands in a frame of its own"
         " and finds the world from three nests. A second measurement of the same robots approaches every pose from both"
-        f" sides; its rail also has {experiment.both_sides.rail}. From it an extended model is identified:"
+        f" sides; its rail also has {RAIL}. From it an extended model is identified:"
         " all six components of every origin, with priors, and the lead, the turns and the backlash of the screw. The"
         " truth is that model with other values, and with wear and bend, which the model does not have.",
         experiment_findings(experiment),

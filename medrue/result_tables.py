@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import cast
 
 from calib.core.data.table_writing import format_table
 
@@ -16,13 +18,16 @@ class TableColumn:
 
     Attributes:
         header: Name, with its unit in brackets.
-        values: Its cells; None where there is nothing to say.
+        values: Its cells, which may be given as an array; None where there is nothing to say, as for NaN.
         digits: Digits after the point when people read it; files have all digits.
     """
 
     header: str
-    values: tuple[Cell, ...]
+    values: Iterable[Cell]
     digits: int = 3
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", tuple(map(_plain, self.values)))
 
     def cell_texts(self) -> list[str]:
         """Return the cells as people read them."""
@@ -47,10 +52,6 @@ class ResultTable:
     columns: tuple[TableColumn, ...]
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        if len({len(column.values) for column in self.columns}) != 1:
-            raise ValueError(f"table {self.name}: columns of different lengths")
-
     def rows(self) -> list[list[str]]:
         """Return the rows as people read them."""
         return [list(row) for row in zip(*(column.cell_texts() for column in self.columns), strict=True)]
@@ -63,23 +64,23 @@ class ResultTable:
     def to_dict(self) -> dict[str, object]:
         """Return the table as plain data for JSON."""
         headers = [column.header for column in self.columns]
-        cells = zip(*(column.values for column in self.columns), strict=True)
-        records = [dict(zip(headers, (_plain(cell) for cell in row), strict=True)) for row in cells]
+        rows = zip(*(column.values for column in self.columns), strict=True)
+        records = [dict(zip(headers, row, strict=True)) for row in rows]
         return {"title": self.title, "notes": list(self.notes), "rows": records}
 
     def text(self) -> str:
         """Return the table as text for a terminal."""
-        cells = [[column.header, *column.cell_texts()] for column in self.columns]
-        widths = [max(len(cell) for cell in column) for column in cells]
+        rows = [[column.header for column in self.columns], *self.rows()]
+        first, *others = (max(map(len, cells)) for cells in zip(*rows, strict=True))
         lines = []
-        for row in zip(*cells, strict=True):
-            parts = [
-                cell.ljust(width) if i == 0 else cell.rjust(width)
-                for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-            ]
-            lines.append("  ".join(parts).rstrip())
+        for row in rows:
+            cells = [row[0].ljust(first), *(cell.rjust(width) for cell, width in zip(row[1:], others, strict=True))]
+            lines.append("  ".join(cells).rstrip())
         return "\n".join(lines)
 
 
 def _plain(cell: Cell) -> Cell:
-    return None if isinstance(cell, float) and not math.isfinite(cell) else cell
+    """A cell without numpy's types; None for a number that is not finite."""
+    if cell is None or isinstance(cell, str):
+        return cell
+    return cast(Cell, cell.item() if hasattr(cell, "item") else cell) if math.isfinite(cell) else None

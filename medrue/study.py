@@ -16,22 +16,20 @@ Everything here is simulated. The truth comes from the closed form, predictions 
 
 from __future__ import annotations
 
-from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from calib import Fit, fit
 from calib.core.base.arrays import FloatArray
-from calib.core.base.workers import results_in_order
 from calib.core.robots.jacobian import linearise
 from calib.core.robots.robot import Robot
 from calib.planning.selection import Selection, select
 from medrue.closed_form import forward
-from medrue.draws import DrawOutcome, DrawTask, PoseSet, measurements, run
-from medrue.paper_tables import table1
+from medrue.draws import DrawOutcome, DrawTask, PoseSet, Work, measurements, run
+from medrue.paper_tables import PARAMETERS, table1
 from medrue.poses import target_poses
-from medrue.progress import Advance, StageProgress
 
 INDICES = ("O1", "O2", "O3", "O4", "O5", "task")
 COUNT = 84
@@ -110,27 +108,15 @@ class PaperStudy:
         return summary(errors[None, self.sets[0].validation_indices(len(self.joints))])[0]
 
 
-def run_study(
-    robot: Robot, size: StudySize, seed: int, executor: Executor | None, progress: StageProgress
-) -> PaperStudy:
-    """Run the study.
-
-    Args:
-        robot: MedRUE with nominal parameters.
-        size: How much to simulate.
-        seed: Seed; the same one gives the same numbers, with any workers.
-        executor: Executor of the draws.
-        progress: Called with the progress of the work.
-    """
-    joints = target_poses(robot).poses.joints
+def run_study(robot: Robot, size: StudySize, seed: int, work: Work) -> PaperStudy:
+    """Run the study of MedRUE with nominal parameters; the same seed gives the same numbers."""
+    joints = target_poses(robot).joints
     truth = true_positions(joints, table1().actual)
-    with progress.stage("choosing poses", len(INDICES)) as advance:
-        selections, sets = choose_sets(robot, joints, executor, advance)
+    selections, sets = choose_sets(robot, joints, work)
     noise_seeds, actual_seeds = np.random.SeedSequence(seed).spawn(2)
     main = DrawTask(robot, joints, truth, sets, SIGMA, tuple(noise_seeds.spawn(size.noise_draws)))
     tasks = [main, *_tasks_of_other_robots(robot, joints, sets, actual_seeds, size)]
-    with progress.stage("simulated calibrations", sum(len(task.seeds) for task in tasks) * len(sets)) as advance:
-        outcomes = run(tasks, executor, advance)
+    outcomes = run(tasks, work)
     chosen = sets[0].chosen
     others = measurements(robot, joints, truth, sets[0].validation_indices(len(joints)))
     exact = fit(robot, measurements(robot, joints, truth, chosen), validation=others, sigma=SIGMA)
@@ -142,11 +128,7 @@ def run_study(
 
 
 def true_positions(joints: FloatArray, parameters: FloatArray) -> FloatArray:
-    """Positions of the tool by the closed form, (n, 3) [m].
-
-    Args:
-        joints: Motors, (n, 6) [m, rad].
-        parameters: The paper's 36, (36,) [m, rad].
+    """Positions of the tool by the closed form, (n, 3) [m], from joints (n, 6) and parameters (36,) [m, rad].
 
     Raises:
         ValueError: A pose does not close with these parameters.
@@ -157,35 +139,16 @@ def true_positions(joints: FloatArray, parameters: FloatArray) -> FloatArray:
     return np.array(closed.p_world_tool)
 
 
-def choose_sets(
-    robot: Robot, joints: FloatArray, executor: Executor | None, advance: Advance
-) -> tuple[dict[str, Selection], tuple[PoseSet, ...]]:
-    """Choose 84 poses by every index, and 84 uniformly.
+def choose_sets(robot: Robot, joints: FloatArray, work: Work) -> tuple[dict[str, Selection], tuple[PoseSet, ...]]:
+    """Choose 84 poses by every index, and 84 uniformly, out of candidates (n, 6) [m, rad].
 
-    Args:
-        robot: The nominal robot, which is all that is known before measuring.
-        joints: Candidates, (n, 6) [m, rad].
-        executor: Executor of the choices.
-        advance: Called with 1 after each index.
+    The nominal robot is all that is known before measuring.
     """
-    selections, sets = {}, []
-    tasks = [(robot, joints, index) for index in INDICES]
-    for index, selection in zip(INDICES, results_in_order(_choose, tasks, executor), strict=True):
-        selections[index] = selection
-        sets.append(PoseSet(index, np.sort(selection.chosen)))
-        advance(1)
+    choose = partial(select, robot, joints, COUNT, sigma=SIGMA)
+    selections = dict(zip(INDICES, work.results("choosing poses", choose, INDICES), strict=True))
+    sets = [PoseSet(index, np.sort(selection.chosen)) for index, selection in selections.items()]
     spacing = len(joints) // COUNT
-    sets.append(PoseSet("uniform", np.arange(COUNT) * spacing + spacing // 2))
-    return selections, tuple(sets)
-
-
-def _choose(task: tuple[Robot, FloatArray, str]) -> Selection:
-    robot, joints, index = task
-    return select(robot, joints, COUNT, index, sigma=SIGMA)
-
-
-STATISTICS = ("mean", "max", "std")
-"""Statistics of `summary` that tables show."""
+    return selections, (*sets, PoseSet("uniform", np.arange(COUNT) * spacing + spacing // 2))
 
 
 def summary(distances: FloatArray) -> FloatArray:
@@ -209,16 +172,9 @@ def error_floors(robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], si
 
 
 def draw_parameters(robot: Robot, seed: np.random.SeedSequence) -> FloatArray:
-    """Actual parameters drawn as the paper's: within +-2 mm and +-1.5 deg, the redundant ones nominal, (36,) [m, rad].
-
-    Args:
-        robot: The nominal robot.
-        seed: Seed of this draw.
-    """
-    table = table1()
-    reach = np.where(np.array(table.units) == "m", 2e-3, np.radians(1.5)) * robot.is_free
-    drawn: FloatArray = table.nominal + reach * np.random.default_rng(seed).uniform(-1.0, 1.0, len(reach))
-    return drawn
+    """Actual parameters drawn as the paper's, within +-2 mm and +-1.5 deg, the held ones nominal, (36,) [m, rad]."""
+    draws = np.random.default_rng(seed).uniform(-1.0, 1.0, len(PARAMETERS))
+    return np.asarray(table1().nominal + table1().reach * robot.is_free * draws)
 
 
 def _tasks_of_other_robots(

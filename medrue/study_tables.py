@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.units import in_unit, millimetres, quantity_text
 from calib.core.base.words import count_noun
 from calib.core.numerics.observability import information
+from calib.core.robots.robot import Robot
 from medrue.paper_tables import error_table, table1
 from medrue.ranking import LEGEND, Ranking, agreement, rank, ranking_table, standard_error
 from medrue.result_tables import ResultTable, TableColumn
@@ -18,7 +21,7 @@ def study_tables(study: PaperStudy) -> tuple[ResultTable, ...]:
     """Return all tables of the study."""
     return (
         parameter_table(study),
-        error_tables(study),
+        index_table(study),
         ranking_table(_rankings(study.names, millimetres(study.validation_errors(study.outcome)))),
         floor_table(study),
         observability_table(study),
@@ -27,34 +30,23 @@ def study_tables(study: PaperStudy) -> tuple[ResultTable, ...]:
 
 def parameter_table(study: PaperStudy) -> ResultTable:
     """Table I: the parameters that the 84 poses of O1 identify."""
-    paper = table1()
-    units = [parameter.unit for parameter in study.robot.parameters]
-    scale = study.robot.parameters.per_si
-    free = study.robot.is_free
-    std = np.full(len(scale), np.nan)
+    paper, free = table1(), study.robot.is_free
+    std = np.full(len(free), np.nan)
     std[free] = _predicted_std(study)
-    scatter = np.where(free, study.outcome.values[:, 0].std(axis=0, ddof=1), np.nan)
-
-    def column(header: str, values: FloatArray) -> TableColumn:
-        cells = (None if np.isnan(value) else float(value) for value in values * scale)
-        return TableColumn(header, tuple(cells))
-
+    columns = {
+        "nominal": paper.nominal,
+        "actual": paper.actual,
+        "identified without noise": study.exact.robot.values,
+        "identified with noise": study.single.robot.values,
+        "predicted std": std,
+        "scatter over draws": np.where(free, study.outcome.values[:, 0].std(axis=0, ddof=1), np.nan),
+        "paper: without noise": paper.identified_without_noise,
+        "paper: with noise": paper.identified_with_noise,
+    }
     return ResultTable(
         "table1",
         "Table I: parameters identified in simulation from the 84 poses of O1",
-        (
-            TableColumn("parameter", paper.names),
-            TableColumn("unit", tuple(units)),
-            column("nominal", paper.nominal),
-            column("actual", paper.actual),
-            column("identified without noise", study.exact.robot.values),
-            column("identified with noise", study.single.robot.values),
-            column("predicted std", std),
-            column("scatter over draws", scatter),
-            column("paper: without noise", paper.identified_without_noise),
-            column("paper: with noise", paper.identified_with_noise),
-            TableColumn("redundant", tuple("yes" if name in paper.redundant else "no" for name in paper.names)),
-        ),
+        parameter_columns(study.robot, columns),
         (
             f"simulated; noise sigma {quantity_text(SIGMA, 'um', '.0f')} on each axis, seed {study.seed}; scatter over"
             f" {count_noun(len(study.outcome.values), 'draw')} of the noise",
@@ -63,37 +55,68 @@ def parameter_table(study: PaperStudy) -> ResultTable:
     )
 
 
+def parameter_columns(robot: Robot, columns: Mapping[str, FloatArray]) -> tuple[TableColumn, ...]:
+    """Return the columns of a table of the paper's parameters, from values (36,) [m, rad] by their headings."""
+    parameters, redundant = robot.parameters, table1().redundant
+    return (
+        TableColumn("parameter", [parameter.name for parameter in parameters]),
+        TableColumn("unit", [parameter.unit for parameter in parameters]),
+        *(TableColumn(name, values * parameters.per_si) for name, values in columns.items()),
+        TableColumn("redundant", ["yes" if parameter.name in redundant else "no" for parameter in parameters]),
+    )
+
+
+def error_columns(
+    rows: Sequence[tuple[str, float, FloatArray]], names: tuple[str, ...], digits: int = 3
+) -> tuple[TableColumn, ...]:
+    """Return the columns of a table of errors.
+
+    Args:
+        rows: Of each row its heading, the error before calibration, and those after it, (n_sets,) [mm].
+        names: The pose sets.
+        digits: Digits of the errors after calibration.
+    """
+    headings, before, after = zip(*rows, strict=True)
+    columns = zip(names, zip(*after, strict=True), strict=True)
+    return (
+        TableColumn("error [mm]", headings),
+        TableColumn("before", before),
+        *(TableColumn(name, values, digits) for name, values in columns),
+    )
+
+
+def printed_errors(number: int, statistic: str, names: tuple[str, ...]) -> FloatArray:
+    """Return a row of the paper's Table II or IV, NaN where it has no such column, (n_sets,) [mm]."""
+    printed = error_table(number)
+    return np.array([printed[name][statistic] if name in printed else np.nan for name in names])
+
+
 def _predicted_std(study: PaperStudy) -> FloatArray:
     """Standard deviations of the free parameters that the stated noise predicts, (n_free,) [m, rad]."""
     return study.exact.unknowns.scales * information(study.exact.rows.jacobian).standard_deviations()
 
 
-def error_tables(study: PaperStudy) -> ResultTable:
+def index_table(study: PaperStudy) -> ResultTable:
     """Table II: position errors of the calibrated robot, by choice of poses."""
     draws = millimetres(study.validation_errors(study.outcome))
     by_actual = millimetres(np.array([study.validation_errors(outcome).mean(axis=0) for outcome in study.by_actual]))
     before = millimetres(study.nominal_errors())
     printed = error_table(2)
-    blocks: list[tuple[str, float | None, FloatArray | None]] = []
+    rows: list[tuple[str, float, FloatArray]] = []
     noise, robots = f"{count_noun(len(draws), 'draw')} of noise", count_noun(len(by_actual), "actual robot")
     for k, statistic in enumerate(STATISTICS):
-        blocks += [
+        rows += [
             (f"{statistic}, single draw", float(before[k]), draws[0, :, k]),
-            (f"{statistic}, mean over {noise}", None, draws[:, :, k].mean(axis=0)),
-            (f"{statistic}, standard error over {noise}", None, standard_error(draws[:, :, k])),
-            (f"{statistic}, mean over {robots}", None, by_actual[:, :, k].mean(axis=0)),
-            (f"{statistic}, standard error over {robots}", None, standard_error(by_actual[:, :, k])),
-            (f"{statistic}, paper", printed["before"][statistic], _printed_figures(statistic, study.names)),
+            (f"{statistic}, mean over {noise}", np.nan, draws[:, :, k].mean(axis=0)),
+            (f"{statistic}, standard error over {noise}", np.nan, standard_error(draws[:, :, k])),
+            (f"{statistic}, mean over {robots}", np.nan, by_actual[:, :, k].mean(axis=0)),
+            (f"{statistic}, standard error over {robots}", np.nan, standard_error(by_actual[:, :, k])),
+            (f"{statistic}, paper", printed["before"][statistic], printed_errors(2, statistic, study.names)),
         ]
-    columns = [TableColumn("error [mm]", tuple(name for name, _, _ in blocks))]
-    columns.append(TableColumn("before", tuple(value for _, value, _ in blocks)))
-    for s, name in enumerate(study.names):
-        cells = (None if values is None or np.isnan(values[s]) else float(values[s]) for _, _, values in blocks)
-        columns.append(TableColumn(name, tuple(cells), 4))
     return ResultTable(
         "table2",
         "Table II: position errors in simulation, by the index that chose the 84 poses to identify with",
-        tuple(columns),
+        error_columns(rows, study.names, digits=4),
         (
             f"simulated; distance from the true position at the {len(study.joints) - COUNT} other poses;"
             f" seed {study.seed}",
@@ -103,12 +126,6 @@ def error_tables(study: PaperStudy) -> ResultTable:
             "task: smallest predicted error over all 420 poses; the paper does not have it",
         ),
     )
-
-
-def _printed_figures(statistic: str, names: tuple[str, ...]) -> FloatArray:
-    """The paper's Table II, NaN where it has no such column, (n_sets,) [mm]."""
-    printed = error_table(2)
-    return np.array([printed[name][statistic] if name in printed else np.nan for name in names])
 
 
 def floor_table(study: PaperStudy) -> ResultTable:
@@ -121,10 +138,10 @@ def floor_table(study: PaperStudy) -> ResultTable:
         "Root-mean-square error over the validation poses: theory (Cramer-Rao) and draws",
         (
             TableColumn("poses chosen by", study.names),
-            TableColumn("theory [mm]", tuple(float(value) for value in floors), 4),
-            TableColumn("draws [mm]", tuple(float(value) for value in np.sqrt(mean_squares)), 4),
-            TableColumn("ratio of squares", tuple(float(value) for value in mean_squares / floors**2), 3),
-            TableColumn("its standard error", tuple(float(value) for value in spread / floors**2), 3),
+            TableColumn("theory [mm]", floors, 4),
+            TableColumn("draws [mm]", np.sqrt(mean_squares), 4),
+            TableColumn("ratio of squares", mean_squares / floors**2),
+            TableColumn("its standard error", spread / floors**2),
         ),
         (
             f"simulated; {count_noun(len(squares), 'draw')} of the noise; draws: root of the mean square over all of"
@@ -144,9 +161,9 @@ def observability_table(study: PaperStudy) -> ResultTable:
     columns = [TableColumn("poses chosen by", study.names)]
     for index in ("O1", "O2", "O3", "O4", "O5"):
         best = max(value[index] for value in values)
-        columns.append(TableColumn(f"{index} [% of the best]", tuple(100 * value[index] / best for value in values), 1))
-    columns.append(TableColumn("task [um]", tuple(in_unit(value["task"], "um") for value in values), 2))
-    columns.append(TableColumn("proven efficiency [%]", tuple(None if e is None else 100 * e for e in efficiency), 2))
+        columns.append(TableColumn(f"{index} [% of the best]", [100 * value[index] / best for value in values], 1))
+    columns.append(TableColumn("task [um]", [in_unit(value["task"], "um") for value in values], 2))
+    columns.append(TableColumn("proven efficiency [%]", [None if e is None else 100 * e for e in efficiency], 2))
     return ResultTable(
         "observability",
         "Observability of the chosen poses, at nominal parameters",

@@ -21,24 +21,23 @@ Reference: joubair2016.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import NotIdentifiableError
 from calib.core.base.threads import one_blas_thread
-from calib.core.base.workers import results_in_order
 from calib.core.fitting.fit import fit_data
 from calib.core.fitting.settings import Settings
 from calib.core.robots.robot import Robot
 from calib.planning.assessment import Assessment, check
 from calib.planning.selection import Selection, select
+from medrue.draws import Work
 from medrue.error_before import base_placed
 from medrue.paper_tables import PARAMETERS, TOOL_POINT, table1
 from medrue.poses import target_poses
-from medrue.progress import StageProgress
 from medrue.study import COUNT, SIGMA, StudySize, draw_parameters, true_positions
 from medrue.touch_methods import (
     ARTEFACT,
@@ -116,26 +115,12 @@ class TouchStudy:
         return (BEFORE, *(method.name for method in self.methods), TOOL_KNOWN)
 
 
-def run_touch(
-    robot: Robot, size: StudySize, seed: int, executor: Executor | None, progress: StageProgress
-) -> TouchStudy:
-    """Calibrate simulated robots in every way.
-
-    Args:
-        robot: MedRUE with nominal parameters.
-        size: How much to simulate.
-        seed: Seed; the same one gives the same numbers, with any workers.
-        executor: Executor of the draws.
-        progress: Called with the progress of the work.
-    """
-    joints = target_poses(robot).poses.joints
-    with progress.stage("choosing poses", len(ARTEFACTS)) as advance:
-        methods, selections = choose_methods(robot, joints)
-        artefacts = {ARTEFACT: selections["touch"].after["task"]}
-        for artefact in ARTEFACTS[1:]:
-            advance(1)
-            artefacts[artefact] = predicted_error(robot, joints, artefact)
-        advance(1)
+def run_touch(robot: Robot, size: StudySize, seed: int, work: Work) -> TouchStudy:
+    """Calibrate simulated robots in every way, from nominal parameters; the same seed gives the same numbers."""
+    joints = target_poses(robot).joints
+    methods, selections = choose_methods(robot, joints)
+    errors = work.results("choosing poses", partial(predicted_error, robot, joints), ARTEFACTS[1:])
+    artefacts = dict(zip(ARTEFACTS, [selections["touch"].after["task"], *errors], strict=True))
     noise_seeds, actual_seeds = np.random.SeedSequence(seed).spawn(2)
     tasks = [
         TouchTask(methods, joints, table1().actual, noise_seed) for noise_seed in noise_seeds.spawn(size.noise_draws)
@@ -144,11 +129,7 @@ def run_touch(
         robot_seed, noise = child.spawn(2)
         actual = draw_parameters(robot, robot_seed)
         tasks += [TouchTask(methods, joints, actual, noise_seed) for noise_seed in noise.spawn(size.noise_per_actual)]
-    drawn = []
-    with progress.stage("simulated calibrations", len(tasks) * len(methods)) as advance:
-        for distances in results_in_order(touch_draw, tasks, executor):
-            drawn.append(distances)
-            advance(len(methods))
+    drawn = work.results("simulated calibrations", touch_draw, tasks)
     first, others = np.array(drawn[: size.noise_draws]), np.array(drawn[size.noise_draws :])
     by_actual = others.reshape(size.actual_draws, size.noise_per_actual, *others.shape[1:])
     seen = {method.name: _assess_method(method) for method in methods}

@@ -18,32 +18,26 @@ tool of the actual robot into a socket that it misses by the noise, and passive 
 
 from __future__ import annotations
 
-import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-import yaml
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import ComputationError
-from calib.core.base.parameter import Parameter
-from calib.core.base.sections import parse_yaml
 from calib.core.data.in_memory import as_measurements
 from calib.core.data.measurements import Measurements
-from calib.core.robots.loading import load
-from calib.core.robots.parameters import Parametrisation
+from calib.core.robots.description import validate_description
+from calib.core.robots.loading import build, load
 from calib.core.robots.robot import Robot
 from medrue import robot_file
-from medrue.closed_form import PASSIVE_JOINTS, forward
+from medrue.closed_form import PASSIVE_JOINTS, forward, homogeneous, rotation_x, rotation_y, rotation_z
 from medrue.closed_form_inverse import inverse
 from medrue.paper_tables import PARAMETERS, table1
-from medrue.rotations import homogeneous, rotation_x, rotation_y, rotation_z
 from medrue.study import SIGMA, true_positions
 from medrue.workspace import AXIS_START, LEAN_AT_END, LENGTH, MIDDLE_ANGLE, RADIUS
 
@@ -211,8 +205,7 @@ def touching_robot(*, anywhere: bool) -> Robot:
     points = {_socket_name(k): place.tolist() for k, place in enumerate(ARTEFACT.sockets)}
     artefact = {"frame": "world", "xyz": list(AXIS_START), "points": points, "pose": "unknown" if anywhere else "known"}
     probe = {"kind": "touch", "target": "tool", "sigma": SIGMA, "artefact": artefact}
-    robot = _with_instruments({"probe": probe}, hold=not anywhere)
-    return _expected(robot) if anywhere else robot
+    return _with_instruments({"probe": probe}, expected=anywhere)
 
 
 def encoder_robot() -> Robot:
@@ -222,48 +215,22 @@ def encoder_robot() -> Robot:
         dimension, sigma = ("length", SIGMA) if joint == "slide" else ("angle", ENCODER_SIGMA)
         encoder = {"kind": "joint_reading", "joint": joint, "dimension": dimension, "sigma": sigma, "zero": "unknown"}
         encoders[f"at_{joint}"] = encoder
-    return _expected(_with_instruments(encoders, hold=False))
+    return _with_instruments(encoders, expected=True)
 
 
 def _socket_name(k: int) -> str:
     return f"socket {k + 1}"
 
 
-def _with_instruments(instruments: Mapping[str, Any], *, hold: bool) -> Robot:
-    """The robot of `medrue.yaml` with other instruments, and with or without held parameters."""
-    file = robot_file()
-    content = parse_yaml(file.read_text(encoding="utf-8"), file)
+def _with_instruments(instruments: Mapping[str, Any], *, expected: bool) -> Robot:
+    """The robot of `medrue.yaml` with other instruments.
+
+    If its parameters are `expected` within the sigmas of their geometry, none is held; measured places may be anywhere.
+    """
+    robot = load(robot_file())
+    content = robot.description.model_dump(mode="json", exclude_unset=True) | {"instruments": dict(instruments)}
     del content["sigma"]  # noise of the tracker
-    content |= {"urdf": str(file.parent / content["urdf"]), "instruments": dict(instruments)}
-    content |= {} if hold else {"held": []}
-    with tempfile.TemporaryDirectory() as folder:  # descriptions are read from files
-        path = Path(folder) / file.name
-        path.write_text(yaml.safe_dump(content), encoding="utf-8")
-        return load(path)
-
-
-def _expected(robot: Robot) -> Robot:
-    """The robot with the sigmas of its geometry as information; measured places may be anywhere."""
-    return replace(robot, parametrisation=_ExpectedParametrisation(robot.parametrisation))
-
-
-@dataclass(frozen=True, eq=False)
-class _ExpectedParametrisation:
-    """A parametrisation whose parameters, but for places, are expected within their sigmas."""
-
-    own: Parametrisation
-
-    @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """See `Parametrisation`, as for all below."""
-        return tuple(
-            parameter if parameter.placement else replace(parameter, prior=True) for parameter in self.own.parameters
-        )
-
-    def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
-        """Origins."""
-        return self.own.placements(values)
-
-    def twists(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Derivatives of the origins."""
-        return self.own.twists(values)
+    if expected:
+        parameters = robot.parameters
+        content |= {"held": [], "prior": {p.name: f"{p.sigma:g} {p.unit}" for p in parameters}}
+    return build(validate_description(content, robot.path), robot.urdf, robot.path)

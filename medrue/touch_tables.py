@@ -43,9 +43,9 @@ def error_table(study: TouchStudy, way: str) -> ResultTable:
             rows.append((f"{statistic}, spread over {what}", values.std(axis=0, ddof=1).tolist()))
         if way == "world" and statistic in AUTHORS:
             rows.append((f"{statistic}, authors", [AUTHORS[statistic].get(name) for name in study.names]))
-    columns = [TableColumn("error [mm]", tuple(label for label, _ in rows))]
+    columns = [TableColumn("error [mm]", [label for label, _ in rows])]
     for m, name in enumerate(study.names):
-        columns.append(TableColumn(name, tuple(values[m] for _, values in rows), 3 if name == BEFORE else 4))
+        columns.append(TableColumn(name, [values[m] for _, values in rows], 3 if name == BEFORE else 4))
     notes = [
         f"simulated; distance from the true position at all {study.noise.shape[-1]} poses of the target workspace; seed"
         f" {study.seed}",
@@ -72,12 +72,12 @@ def method_table(study: TouchStudy) -> ResultTable:
         "What each method reads, and what it cannot see",
         (
             TableColumn("method", names),
-            TableColumn("rows", tuple(determined.n_rows for determined in seen), 0),
-            TableColumn("unknowns", tuple(len(determined.parameters) for determined in seen), 0),
-            TableColumn("rank", tuple(determined.rank_all.rank for determined in seen), 0),
-            TableColumn("predicted RMS [mm]", tuple(predicted), 4),
-            TableColumn("RMS over draws [mm]", tuple(float(millimetres(value)) for value in rms), 4),
-            TableColumn("cannot see", tuple(unseen(determined) for determined in seen)),
+            TableColumn("rows", [determined.n_rows for determined in seen], 0),
+            TableColumn("unknowns", [len(determined.parameters) for determined in seen], 0),
+            TableColumn("rank", [determined.rank_all.rank for determined in seen], 0),
+            TableColumn("predicted RMS [mm]", predicted, 4),
+            TableColumn("RMS over draws [mm]", millimetres(rms), 4),
+            TableColumn("cannot see", map(unseen, seen)),
         ),
         (
             f"simulated; noise: {quantity_text(SIGMA, 'um', '.0f')} on each axis,"
@@ -91,13 +91,12 @@ def method_table(study: TouchStudy) -> ResultTable:
 
 def artefact_table(study: TouchStudy) -> ResultTable:
     """How large the artefact with the sockets must be."""
-    predicted = [None if np.isinf(value) else millimetres(value) for value in study.artefacts.values()]
     return ResultTable(
         "artefacts",
         f"Error in the target workspace predicted for the best {COUNT} touches of an artefact",
         (
-            TableColumn("sockets of the artefact", tuple(_size(artefact) for artefact in study.artefacts)),
-            TableColumn("predicted RMS [mm]", tuple(predicted), 4),
+            TableColumn("sockets of the artefact", map(_size, study.artefacts)),
+            TableColumn("predicted RMS [mm]", map(millimetres, study.artefacts.values()), 4),
         ),
         (
             "the first is used; by theory, at nominal parameters, in the world: nothing measured or simulated",

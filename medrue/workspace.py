@@ -39,10 +39,18 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, Array, forward
+from medrue.closed_form import (
+    ACTUATED_JOINTS,
+    PASSIVE_JOINTS,
+    Array,
+    forward,
+    homogeneous,
+    rotation_x,
+    rotation_y,
+    rotation_z,
+)
 from medrue.closed_form_inverse import inverse
 from medrue.paper_tables import table1
-from medrue.rotations import homogeneous, rotation_x, rotation_y, rotation_z
 
 AXIS_START = (-0.113, 0.340, -0.040)
 """Start of the leg's axis in the world [m]."""
@@ -83,11 +91,7 @@ class Workspace:
 
 @cache
 def target_workspace() -> Workspace:
-    """The 420 poses of the target workspace, with the joint values that reach them.
-
-    Returns:
-        The workspace; its arrays are read-only.
-    """
+    """The 420 poses of the target workspace, with the joint values that reach them; its arrays are read-only."""
     T_world_tool = _poses()
     q = inverse(T_world_tool, table1().nominal)
     arrays = (

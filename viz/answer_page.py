@@ -59,7 +59,7 @@ def answer_page(
 def _image_charts(result: HandEye) -> Charts:
     """Errors of each image and each point, and the comparison of used and left-out images."""
     scene = result.scene
-    used, left, board = (result.rms_by_image(v) for v in (result.pixels, result.left_out.pixels, result.board))
+    used, left, board = (scene.rms_by_image(v) for v in (result.pixels, result.left_out.pixels, result.board))
     texts = tuple(
         f"image {name}: {u:.2f} px RMS used, {o:.2f} px left out, {quantity_text(b, 'mm', '.3f')} on the board"
         for name, u, o, b in zip(scene.names, used, left, board, strict=True)

@@ -93,35 +93,33 @@ class Bodies:
                     motion[..., :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(along).as_matrix()
             T[..., i + 1, :, :] = T[..., parent, :, :] @ robot.placements[i] @ motion
         root = np.linalg.inv(T[..., [self.base], :, :]) if robot.root is None else robot.root
-        relative: FloatArray = root @ T
-        return relative
+        return np.asarray(root @ T)
 
     def matrices(self, robot: PosedRobot, pose: int | slice | IntArray) -> FloatArray:
         """Return M = T S of each body, (..., n_joints + 1, 4, 4) [m], as `poses` does."""
-        result: FloatArray = self.poses(robot, pose) @ robot.stretches
-        return result
+        return np.asarray(self.poses(robot, pose) @ robot.stretches)
+
+
+def links_of_bodies(robot: Robot) -> dict[int, str]:
+    """Return the link of each body, by the body's index; bodies that are no link of the URDF have none."""
+    links: dict[int, str] = {}
+    for name, index in robot.mechanism.frames.items():
+        if name in robot.urdf.links:
+            links.setdefault(index, name)
+    return links
 
 
 def bodies_of(robot: Robot) -> Bodies:
     """Return the tree of a robot's mechanism."""
-    mechanism = robot.mechanism
-    model = mechanism.model
-    links: dict[int, str] = {}
-    for name, index in mechanism.frames.items():
-        if name in robot.urdf.links:
-            links.setdefault(index, name)
+    mechanism, links = robot.mechanism, links_of_bodies(robot)
     joints = {joint.name: joint for joint in robot.urdf.joints}
     moves = np.any(mechanism.select_actuated != 0, axis=1) | np.any(mechanism.select_passive != 0, axis=1)
     moves |= mechanism.constant != 0
     columns = np.where(moves, np.cumsum(moves) - 1, -1)
-    axes = np.zeros((mechanism.n_joints, 3))
-    sliding = []
-    for i, name in enumerate(mechanism.origin_names):
-        sliding.append(name in joints and joints[name].type == "prismatic")
-        if moves[i]:
-            axes[i] = mechanism.axes[i, :3] + mechanism.axes[i, 3:]
+    axes = np.where(moves[:, None], mechanism.axes[:, :3] + mechanism.axes[:, 3:], 0.0)
+    sliding = [name in joints and joints[name].type == "prismatic" for name in mechanism.origin_names]
     names = tuple(links.get(i, f"({mechanism.origin_names[i - 1]})") for i in range(mechanism.n_joints + 1))
-    parents = np.array([model.parents[i + 1] for i in range(mechanism.n_joints)], dtype=np.intp)
+    parents = np.array(mechanism.model.parents[1 : mechanism.n_joints + 1], dtype=np.intp)
     return Bodies(names, parents, tuple(sliding), axes, columns, mechanism.targets[0].a)
 
 

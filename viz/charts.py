@@ -56,7 +56,7 @@ def axis(
     `names` are categories in place of numbers, the first at the top or on the left. `beyond`: marks beyond the ends of
     an upright axis are drawn at these.
     """
-    shown = None if ends is None else [float(value) for value in ends]
+    shown = None if ends is None else list(map(float, ends))
     return {"label": label, "log": log, "ends": shown, "names": list(names), "beyond": beyond}
 
 
@@ -71,8 +71,8 @@ def panel(
     bare: bool = False,
 ) -> Any:
     """Return a panel; `equal`: units are equally long on both axes; `bare`: without axes."""
-    shape = {"title": title, "height": height, "equal": equal, "bare": bare}
-    return {"x": x, "y": y, "layers": list(layers), **shape}
+    content = {"x": x, "y": y, "layers": list(layers)}
+    return content | {"title": title, "height": height, "equal": equal, "bare": bare}
 
 
 def layer(kind: str, label: str = "", colour: str = "", **columns: Any) -> dict[str, Any]:
@@ -81,12 +81,8 @@ def layer(kind: str, label: str = "", colour: str = "", **columns: Any) -> dict[
     Its label is its entry in the legend, if any; without a colour, it has that of the page's text. Columns are numbers,
     rows, texts, or colours of its marks.
     """
-    return {
-        "kind": kind,
-        "label": label,
-        "colour": colour,
-        **{name: json_values(values) for name, values in columns.items()},
-    }
+    shown = {name: json_values(values) for name, values in columns.items()}
+    return {"kind": kind, "label": label, "colour": colour, **shown}
 
 
 def json_values(values: ArrayLike) -> Any:
@@ -123,6 +119,6 @@ class Charts:
         """Return the data for the page's script."""
         charts = [chart for part in self.by_place.values() for chart in part]
         return {
-            "rows": {"texts": self.rows.texts, "poses": self.rows.poses, "marks": self.rows.marks},
+            "rows": vars(self.rows),
             "charts": {chart.name: {"panels": chart.panels, "wide": chart.wide} for chart in charts},
         }

@@ -21,7 +21,7 @@ from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.version import DISTRIBUTION
 from viz.bodies import posed_robot
 from viz.inputs import ShownScene, gather
-from viz.scene_data import colours, ranges, rows_of
+from viz.scene_data import colours, ranges
 
 ADDRESS = "127.0.0.1"
 _FIELD_OF_VIEW = np.radians(40.0)  # of the first camera, upright
@@ -61,7 +61,6 @@ class DraggedView:
         """Take note of the progress after some poses, of which this page shows none but the last."""
 
     def _draw(self, shown: ShownScene) -> None:
-        """Fill the page with a scene, in place of what it shows."""
         self._shown, scene, space, gui = shown, shown.scene, self.server.scene, self.server.gui
         space.reset()
         gui.reset()
@@ -87,13 +86,13 @@ class DraggedView:
         target = shown.solid.target_names[0]
         self._target = space.add_transform_controls(
             f"/scene/{target}",
-            scale=_HANDLES * self._size,
+            scale=_HANDLES * scene.view.size,
             disable_rotations=True,
         )
         self._target.on_update(lambda _: self.reach(np.array(self._target.position)))
         if scene.n_rows:
             poses = gui.add_slider("row", 0, scene.n_rows - 1, 1, 0)
-            every = np.concatenate([rows.joints for rows in rows_of(scene)])
+            every = np.concatenate([rows.joints for rows in scene.rows])
             poses.on_update(lambda _: self.move(every[int(poses.value)]))
         self.note = gui.add_markdown("")
 
@@ -110,14 +109,9 @@ class DraggedView:
             places.append(T[..., :3, 3].reshape(-1, 3) @ view.upright.T)
         every = np.concatenate(places)
         middle = (every.min(axis=0) + every.max(axis=0)) / 2
-        radius = float(np.max(np.linalg.norm(every - middle, axis=1))) + _HANDLES * self._size
+        radius = float(np.max(np.linalg.norm(every - middle, axis=1))) + _HANDLES * scene.view.size
         camera.look_at, camera.fov = middle, _FIELD_OF_VIEW
         camera.position = middle + radius / np.sin(_FIELD_OF_VIEW / 2) * view.direction
-
-    @property
-    def _size(self) -> float:
-        """Size of the scene [m]."""
-        return float(np.linalg.norm(self._shown.scene.view.high - self._shown.scene.view.low))
 
     @property
     def url(self) -> str:
@@ -177,9 +171,8 @@ class DraggedView:
         """Draw the readings in the colours of their errors, and these errors enlarged."""
         scene = self._shown.scene
         state = (scene.states or ("before",))[-1]
-        factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
-        size = self._size
-        for rows, factor in zip(rows_of(scene), factors, strict=True):
+        size = scene.view.size
+        for rows, factor in zip(scene.rows, scene.factors, strict=True):
             known = np.isfinite(rows.anchors).all(axis=1) & np.isfinite(rows.sizes(state))
             if not np.any(known):
                 continue

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from viz.poses import EXCLUDED, VALIDATION
 from viz.reading_errors import ReadingErrors
 from viz.remarks import tolerance
 from viz.scene import ViewerJoint, ViewerScene
-from viz.scene_data import colours, ranges, rows_of
+from viz.scene_data import colours, ranges
 
 _MEANS = 12  # places along a joint at which residuals are averaged
 _CELLS = 9  # cells along the longer side of a plane
@@ -31,7 +31,7 @@ _PAIRED = 6  # largest number of joints whose ranges are drawn in all pairs; for
 def page_rows(scene: ViewerScene) -> PageRows:
     """Return hover text, pose and mark of each row of the page."""
     texts, keys, marks = [], [], []
-    for rows in rows_of(scene):
+    for rows in scene.rows:
         sizes = {state: rows.sizes(state) for state in STATES}
         several = len(set(rows.targets)) > 1 or not rows.part.is_position
         for k, (label, group, bad, target) in enumerate(
@@ -53,29 +53,28 @@ def page_rows(scene: ViewerScene) -> PageRows:
 def error_charts(fit: Fit, scene: ViewerScene) -> tuple[Chart, ...]:
     """Return the plots of every part of readings."""
     charts: list[Chart] = []
-    first = 0
-    for rows in rows_of(scene):
-        of_part = _Part(rows, np.arange(first, first + len(rows)), scene.joints, tolerance(fit))
-        first += len(rows)
+    for rows, numbers in _numbered_rows(scene):
+        of_part = _Part(rows, numbers, scene.joints, tolerance(fit))
         if len(rows):
             planes = [of_part.planes()] if of_part.moves() else []
             charts += [of_part.distribution(), of_part.order(), *planes, of_part.joint_charts()]
     return tuple(charts)
 
 
+def _numbered_rows(scene: ViewerScene) -> list[tuple[ReadingErrors, IntArray]]:
+    """The rows of the page, part by part, and their numbers in its table."""
+    ends = np.cumsum([len(rows) for rows in scene.rows]).tolist()
+    return [(rows, np.arange(end - len(rows), end)) for rows, end in zip(scene.rows, ends, strict=True)]
+
+
 def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     """Return the poses in pairs of joints, within the limits of the joints; None without pairs."""
-    joints, first, values, rows = scene.joints, 0, [], []
-    for part in rows_of(scene):
-        values.append(part.joints)
-        rows.append(np.arange(first, first + len(part)))
-        first += len(part)
+    joints, every = scene.joints, np.concatenate([rows.joints for rows in scene.rows])
     n = len(joints)
-    pairs = list(combinations(range(n), 2)) if n <= _PAIRED else [(k, k + 1) for k in range(n - 1)]
-    if not pairs or not first:
+    pairs = list(combinations(range(n), 2)) if n <= _PAIRED else list(pairwise(range(n)))
+    if not pairs or not len(every):
         return None
     small = len(pairs) > 3  # more than one row of panels
-    every, number = np.concatenate(values), np.concatenate(rows)
     _, one = np.unique(every, axis=0, return_index=True)  # each pose only once
     limits = {joint.name: (joint.lower, joint.upper) for joint in fit.nominal.urdf.joints}
 
@@ -91,7 +90,7 @@ def coverage(scene: ViewerScene, fit: Fit) -> Chart | None:
     panels = []
     for a, b in pairs:
         (x, across), (y, up) = coverage_of(a), coverage_of(b)
-        panels.append(panel(x, y, [layer("points", x=across, y=up, rows=number[one])], height=190 if small else 300))
+        panels.append(panel(x, y, [layer("points", x=across, y=up, rows=one)], height=190 if small else 300))
     return Chart(
         "coverage",
         "Where the joints were",
@@ -105,7 +104,7 @@ def conditions(fit: Fit, scene: ViewerScene) -> Chart | None:
     """Return temperature and time of the poses in the order of measurement; None if the file has neither."""
     data = fit.identification.data
     row_of: dict[str, int] = {}
-    for row, label in enumerate(label for part in rows_of(scene) for label in part.labels):
+    for row, label in enumerate(label for part in scene.rows for label in part.labels):
         row_of.setdefault(label, row)
     panels = []
     chosen = [k for k, label in enumerate(data.names) if label in row_of]
@@ -148,11 +147,9 @@ class _Part:
         for state in STATES:
             known = np.flatnonzero(self._sizes[state] > 0)
             order = known[np.argsort(self._sizes[state][known], kind="stable")]
-            share = 100 * (np.arange(len(order)) + 1) / max(len(order), 1)
-            layers.append(layer("line", "", COLOURS[state], x=self._sizes[state][order], y=share))
-            layers.append(
-                layer("points", state, COLOURS[state], x=self._sizes[state][order], y=share, rows=self._numbers[order])
-            )
+            line = {"x": self._sizes[state][order], "y": 100 * (np.arange(len(order)) + 1) / max(len(order), 1)}
+            layers.append(layer("line", "", COLOURS[state], **line))
+            layers.append(layer("points", state, COLOURS[state], **line, rows=self._numbers[order]))
         extra = ""
         if self._limit is not None:
             layers.append(layer("line", "tolerance", COLOURS["x"], x=[self._limit] * 2, y=[0.0, 100.0]))
@@ -205,16 +202,8 @@ class _Part:
         layers = []
         for state in STATES:
             known = np.flatnonzero(self._sizes[state] > 0)
-            layers.append(
-                layer(
-                    "points",
-                    state,
-                    COLOURS[state],
-                    x=known + 1.0,
-                    y=self._sizes[state][known],
-                    rows=self._numbers[known],
-                )
-            )
+            marks = {"x": known + 1.0, "y": self._sizes[state][known], "rows": self._numbers[known]}
+            layers.append(layer("points", state, COLOURS[state], **marks))
         y = axis(f"error [{self._unit}]", log=True)
         return Chart(
             *self._chart_name("order", "Errors in the order of measurement"),
@@ -228,7 +217,6 @@ class _Part:
         """Residuals against each joint, with the local mean of each component."""
         left, axes = in_unit(self._rows.residuals("after"), self._unit), self._rows.part.axes
         usual = ~self._rows.outlier
-        looks = list("xyz")
         beyond = self._rows.outlier.any() and np.isfinite(left[usual]).any()
         reach = 1.2 * float(np.nanmax(np.abs(left[usual]))) if beyond else 0.0
         y = axis(f"residual [{self._unit}]", ends=[-reach, reach] if reach else None, beyond=reach > 0)
@@ -236,7 +224,7 @@ class _Part:
         for number, joint in enumerate(self._joints):
             values, layers, means = joint.per_si * self._rows.joints[:, number], [], []
             for k, (name, component) in enumerate(zip(axes, left.T, strict=False)):
-                colour, known = COLOURS[looks[k % 3]], np.flatnonzero(np.isfinite(component))
+                colour, known = COLOURS["xyz"[k % 3]], np.flatnonzero(np.isfinite(component))
                 layers.append(
                     layer("points", name, colour, x=values[known], y=component[known], rows=self._numbers[known])
                 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,12 @@ import scipy
 from matplotlib.axes import Axes
 
 from calib import Fit
-from calib.core.base.arrays import BoolArray
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.units import millimetres
 from viz.pose_sources import from_fit
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable
+from viz.result_charts import relative_changes
 from viz.scene import ViewerJoint, joints_of
 from viz.svg import AXES, BLUE, GREY, STATES, plain_ticks
 
@@ -31,72 +33,52 @@ def draw_histogram(axes: Any, table: PoseTable) -> None:
     low, high = (float(positive.min()), float(positive.max())) if len(positive) else (1e-3, 1.0)
     bins = np.geomspace(low * 0.95, high * 1.05, 41).tolist()
     for state, (colour, line) in STATES.items():
-        axes.hist(np.maximum(lengths[state], low), bins=bins, histtype="stepfilled", alpha=0.25, color=colour)
-        axes.hist(
-            np.maximum(lengths[state], low),
-            bins=bins,
-            histtype="step",
-            color=colour,
-            linestyle=line,
-            linewidth=1.6,
-            label=f"{state} calibration",
-        )
+        shown, label = np.maximum(lengths[state], low), f"{state} calibration"
+        axes.hist(shown, bins=bins, histtype="stepfilled", alpha=0.25, color=colour)
+        axes.hist(shown, bins=bins, histtype="step", color=colour, linestyle=line, linewidth=1.6, label=label)
     axes.set(xscale="log", xlabel="distance between predicted and measured position [mm]", ylabel="number of poses")
     plain_ticks(axes.xaxis)
     axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))
+    axes.legend()
 
 
 def draw_residuals(axes: Any, table: PoseTable, joint: ViewerJoint, number: int) -> None:
     """Draw residuals after calibration against the actuated joint with this index."""
     values = joint.per_si * table.joints[:, number]
     for order, (name, component) in enumerate(zip(AXES, millimetres(table.error("after")).T, strict=True)):
-        colour, marker = AXES[name]
-        axes.plot(
-            values,
-            component,
-            marker,
-            color=colour,
-            markersize=2.6,
-            alpha=0.6,
-            linestyle="none",
-            markeredgewidth=0,
-            label=name,
-            zorder=2 + order,
-        )
+        _draw_marks(axes, name, values, component, markersize=2.6, alpha=0.6, zorder=2 + order)
     axes.axhline(0.0, color="black", linewidth=0.8)
     if len(values) and np.ptp(values) < _STILL:
         axes.set_xlim(np.mean(values) - 0.5, np.mean(values) + 0.5)
-    axes.set_xlabel(f"{joint.name} [{joint.unit}]")
+    axes.set(xlabel=f"{joint.name} [{joint.unit}]", ylabel="residual [mm]")
+    axes.legend()
 
 
-def draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
-    """Draw the errors of a series, rows (n,), over its poses: a line for each state, a mark for each group."""
+def _draw_marks(axes: Any, name: str, x: FloatArray, y: FloatArray, **look: float) -> None:
+    colour, marker = AXES[name]
+    axes.plot(x, y, marker, color=colour, linestyle="none", markeredgewidth=0, label=name, **look)
+
+
+def draw_course(axes: Any, table: PoseTable) -> None:
+    """Draw the errors over the poses: a line for each state, a mark for each group."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-    places, first = np.unique(table.place[rows], return_index=True)
-    chosen = np.flatnonzero(rows)
-    names = {int(place): table.labels[chosen[k]] for place, k in zip(places, first, strict=True)}
-    group = np.array([table.group[chosen[k]] for k in first])
-    outlier = np.isin(places, table.place[rows & table.outlier])
+    places, first = np.unique(table.place, return_index=True)
+    names = {int(place): table.labels[k] for place, k in zip(places, first, strict=True)}
+    group = np.array([table.group[k] for k in first])
+    outlier = np.isin(places, table.place[table.outlier])
     for state, (colour, line) in STATES.items():
         lengths = np.full(len(places), -np.inf)
-        sizes = millimetres(np.linalg.norm(table.error(state)[rows], axis=1))
-        np.fmax.at(lengths, np.searchsorted(places, table.place[rows]), sizes)
+        sizes = millimetres(np.linalg.norm(table.error(state), axis=1))
+        np.fmax.at(lengths, np.searchsorted(places, table.place), sizes)
         lengths = np.where(lengths > 0, lengths, np.nan)
         axes.plot(places, lengths, line, color=colour, linewidth=0.7, alpha=0.6, label=f"{state} calibration")
         for name, (mark, face) in _GROUP_MARKS.items():
-            of_group = np.flatnonzero(group == name)
-            if len(of_group):
-                axes.plot(
-                    places[of_group],
-                    lengths[of_group],
-                    mark,
-                    color=colour,
-                    markerfacecolor=face or colour,
-                    markersize=3.6,
-                    markeredgewidth=0.8,
-                    label=name if state == "after" else None,
-                )
+            own = group == name
+            if np.any(own):
+                label, face = name if state == "after" else None, face or colour
+                look = {"color": colour, "markerfacecolor": face, "markersize": 3.6, "markeredgewidth": 0.8}
+                axes.plot(places[own], lengths[own], mark, label=label, **look)
         if state == "after" and np.any(outlier):
             axes.plot(places[outlier], lengths[outlier], "kx", markersize=7, label="outlier")
     axes.set(yscale="log", xlabel="pose, in the order of measurement", ylabel="error [mm]")
@@ -104,6 +86,7 @@ def draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda place, _: names.get(round(place), "")[:10]))
     axes.margins(x=0.01)
+    axes.legend()
 
 
 def draw_normal(axes: Any, table: PoseTable) -> None:
@@ -111,23 +94,12 @@ def draw_normal(axes: Any, table: PoseTable) -> None:
     chosen = np.array([group == IDENTIFICATION for group in table.group], dtype=bool)
     ratio = table.normalised_residuals()[chosen if np.any(chosen) else slice(None)]
     reach = 1.0
-    for (name, (colour, marker)), values in zip(AXES.items(), ratio.T, strict=True):
+    for name, values in zip(AXES, ratio.T, strict=True):
         known = np.sort(values[np.isfinite(values)])
-        if not len(known):
-            continue
-        quantiles = scipy.special.ndtri((np.arange(len(known)) + 0.5) / len(known))
-        axes.plot(
-            quantiles,
-            known,
-            marker,
-            color=colour,
-            markersize=3.2,
-            linestyle="none",
-            alpha=0.75,
-            markeredgewidth=0,
-            label=name,
-        )
-        reach = max(reach, float(np.abs(quantiles).max()), float(np.abs(known).max()))
+        if len(known):
+            quantiles = scipy.special.ndtri((np.arange(len(known)) + 0.5) / len(known))
+            _draw_marks(axes, name, quantiles, known, markersize=3.2, alpha=0.75)
+            reach = max(reach, float(np.abs(quantiles).max()), float(np.abs(known).max()))
     axes.plot([-reach, reach], [-reach, reach], color="black", linewidth=0.9, label="normal")
     axes.set(xlabel="expected of normal noise [sigma]", ylabel="residual [sigma]")
     axes.legend(markerscale=1.6)
@@ -153,17 +125,11 @@ class FitPlots:
 
     def errors(self, axes: Axes | None = None) -> Axes:
         """Draw the distribution of the errors of points, before and after."""
-        drawn = _axes(axes)
-        draw_histogram(drawn, self._table())
-        drawn.legend()
-        return drawn
+        return self._draw(draw_histogram, axes)
 
     def by_pose(self, axes: Axes | None = None) -> Axes:
         """Draw the error of each pose in the order of measurement."""
-        drawn, table = _axes(axes), self._table()
-        draw_course(drawn, table, np.ones(len(table), dtype=bool))
-        drawn.legend()
-        return drawn
+        return self._draw(draw_course, axes)
 
     def residuals(self, joint: str | None = None, axes: Axes | None = None) -> Axes:
         """Draw the components of residuals against a joint; default: the first joint.
@@ -175,29 +141,20 @@ class FitPlots:
         joint = names[0] if joint is None else joint
         if joint not in names:
             raise InputError(f"no joint '{joint}'{nearest(joint, names)}")
-        drawn, number, table = _axes(axes), names.index(joint), self._table()
-        draw_residuals(drawn, table, joints_of(self._fit.robot)[number], number)
-        drawn.set_ylabel("residual [mm]")
-        drawn.legend()
-        return drawn
+        number = names.index(joint)
+        return self._draw(draw_residuals, axes, joints_of(self._fit.robot)[number], number)
 
     def normal(self, axes: Axes | None = None) -> Axes:
         """Draw sorted residuals over sigma against normal quantiles."""
-        drawn = _axes(axes)
-        draw_normal(drawn, self._table())
-        return drawn
+        return self._draw(draw_normal, axes)
 
     def parameters(self, axes: Axes | None = None) -> Axes:
         """Draw the change of every free parameter of the robot with its 95 % interval, in sigmas of its prior.
 
         Poses of base and targets are left out, since they are not the robot's.
         """
-        fit = self._fit
-        shown = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
-        estimates, sigma = [fit.parameters[p.name] for p in shown], np.array([p.sigma for p in shown])
-        drawn = _axes(axes, height=1.0 + 0.15 * len(shown))
-        change = np.array([estimate.value - estimate.nominal for estimate in estimates]) / sigma
-        half = np.array([estimate.high95 - estimate.value for estimate in estimates]) / sigma
+        estimates, change, half = relative_changes(self._fit)
+        drawn = _axes(axes, height=1.0 + 0.15 * len(estimates))
         place = np.arange(len(estimates))
         drawn.axvline(0.0, color=GREY, linewidth=0.8)
         drawn.errorbar(change, place, xerr=half, fmt="o", color=BLUE, markersize=3, linewidth=1)
@@ -206,12 +163,14 @@ class FitPlots:
         drawn.set_xlabel("change [sigma of the prior], with 95 % interval")
         return drawn
 
-    def _table(self) -> PoseTable:
-        table = from_fit(self._fit)
+    def _draw(self, draw: Callable[..., None], axes: Axes | None, *more: Any) -> Axes:
+        """Draw all points whose errors are known."""
+        drawn, table = _axes(axes), from_fit(self._fit)
         known = np.flatnonzero(np.isfinite(table.error("after")).all(axis=1))
         if not len(known):
             raise InputError("no instrument measured points, so there are no errors of points to draw")
-        return table.subset(known)
+        draw(drawn, table.subset(known), *more)
+        return drawn
 
 
 def _axes(axes: Any, height: float = 4.8) -> Axes:

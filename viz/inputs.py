@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from calib import Fit, Measurements, Robot
 from calib.core.base.errors import InputError
@@ -13,11 +14,10 @@ from calib.core.results.version_1 import EarlierResult
 from calib.core.rows.registration import register
 from calib.core.rows.whitening import Whitening
 from calib.shared.pose_check import check_poses
-from viz import reading_errors
-from viz.judgement import Judgement, judgement_of_result
-from viz.judgement import judgement_of_fit as judgement_of_fit
-from viz.pose_sources import Sigmas, from_measurements, from_plan, noise
-from viz.poses import PredictingRobot
+from viz.judgement import Judgement, judgement_of_fit, judgement_of_result
+from viz.pose_sources import Sigmas, from_plan, measured_set, noise
+from viz.poses import PredictingRobot, average_poses
+from viz.reading_errors import reading_errors_of_set
 from viz.remarks import remarks
 from viz.scene import ViewerScene, build_scene, scene_of_fit
 from viz.workspace_map import workspace_map
@@ -52,16 +52,19 @@ def gather(robot: Robot, result: Result | None = None, data: Poses | None = None
         raise InputError("--map shows what a calibration knows: give its result with --result DIR")
     if data is not None and not isinstance(data, Measurements):
         return _planned_scene(robot, result, data)
+    if result is None:
+        if data is None:
+            return ShownScene(build_scene(robot), robot, None)
+        placed, comments = _place_robot(robot, data), remarks(data.comments)
+        scene = _scene_of_data(data, placed, None, _stated_sigmas(robot, data), comments=comments)
+        return ShownScene(scene, placed, None)
     if isinstance(result, Fit):
         return _from_fit(robot, result, data, mapped)
-    if result is not None:
-        return _from_folder(robot, result, data, mapped)
-    if data is not None:
-        placed = _place_robot(robot, data)
-        table = from_measurements(data, placed, None, _stated_sigmas(robot, data))
-        readings = reading_errors.reading_errors_of_measurements(data, placed, None)
-        return ShownScene(build_scene(placed, None, table, readings, comments=remarks(data.comments)), placed, None)
-    return ShownScene(build_scene(robot), robot, None)
+    loaded = load_result(result, robot, failed_too=True)  # a failed result is shown too, to find out why
+    judgement = judgement_of_result(loaded.content["verdict"], loaded.content.get("next", ""))
+    if isinstance(loaded, EarlierResult):
+        return _from_earlier(robot, loaded, data, mapped, judgement)
+    return _from_fit(loaded.nominal, loaded.fit, data, mapped, judgement)
 
 
 def _planned_scene(robot: Robot, result: Result | None, poses: Poses) -> ShownScene:
@@ -82,44 +85,38 @@ def _from_fit(
         raise InputError(f"the result is of another robot than {robot.path}; give the robot that was fitted")
     calibrated = PredictingRobot(fit.robot, fit.reported_uncertainty.predict)
     if data is None:
-        return ShownScene(
-            _with_map(scene_of_fit(fit, judgement), calibrated, fit.placed, mapped), fit.robot, fit.placed
-        )
-    table = from_measurements(data, fit.placed, calibrated, noise(fit))
-    comments, notes = remarks(data.comments), fit.reported_uncertainty.notes
-    readings = reading_errors.reading_errors_of_measurements(data, fit.placed, fit.robot)
-    judgement = judgement or judgement_of_fit(fit)
-    scene = build_scene(
-        fit.placed, fit.robot, table, readings, verdict=judgement, uncertainty_notes=notes, comments=comments
-    )
+        scene = scene_of_fit(fit, judgement)
+    else:
+        about = {"comments": remarks(data.comments), "uncertainty_notes": fit.reported_uncertainty.notes}
+        verdict = judgement or judgement_of_fit(fit)
+        scene = _scene_of_data(data, fit.placed, calibrated, noise(fit), verdict=verdict, **about)
     return ShownScene(_with_map(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
+
+
+def _scene_of_data(
+    data: Measurements, placed: Robot, calibrated: PredictingRobot | None, sigmas: Sigmas, **about: Any
+) -> ViewerScene:
+    """The scene of measurements that were in no fit; `about` goes to `build_scene`."""
+    shown, robot = measured_set(data, placed, calibrated, sigmas), None if calibrated is None else calibrated.robot
+    return build_scene(placed, robot, average_poses(shown.table()), reading_errors_of_set(shown, robot), **about)
 
 
 def _with_map(scene: ViewerScene, calibrated: PredictingRobot, nominal: Robot, count: int) -> ViewerScene:
     return replace(scene, map=workspace_map(calibrated, nominal, scene.poses, count)) if count else scene
 
 
-def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, mapped: int) -> ShownScene:
-    """The scene of a saved result, with its verdict; a failed result is shown too, to find out why."""
-    result = load_result(folder, robot, failed_too=True)
-    judgement = judgement_of_result(result.content["verdict"], result.content.get("next", ""))
-    if not isinstance(result, EarlierResult):
-        return _from_fit(result.nominal, result.fit, data, mapped, judgement)
+def _from_earlier(
+    robot: Robot, result: EarlierResult, data: Measurements | None, mapped: int, judgement: Judgement
+) -> ShownScene:
     uncertainty = result.reported_uncertainty
-    calibrated, placed = (
-        PredictingRobot(result.robot, uncertainty.predict),
-        robot if data is None else _place_robot(robot, data),
-    )
-    table = None if data is None else from_measurements(data, placed, calibrated, _stated_sigmas(robot, data))
-    readings = () if data is None else reading_errors.reading_errors_of_measurements(data, placed, result.robot)
-    notes = (
-        ()
-        if data is not None
-        else ("readings are not shown: this result is of an earlier version and has none; fit again",)
-    )
-    scene = build_scene(
-        placed, result.robot, table, readings, verdict=judgement, notes=notes, uncertainty_notes=uncertainty.notes
-    )
+    calibrated = PredictingRobot(result.robot, uncertainty.predict)
+    about: dict[str, Any] = {"verdict": judgement, "uncertainty_notes": uncertainty.notes}
+    if data is None:
+        note = "readings are not shown: this result is of an earlier version and has none; fit again"
+        placed, scene = robot, build_scene(robot, result.robot, notes=(note,), **about)
+    else:
+        placed = _place_robot(robot, data)
+        scene = _scene_of_data(data, placed, calibrated, _stated_sigmas(robot, data), **about)
     return ShownScene(_with_map(scene, calibrated, placed, mapped), result.robot, placed)
 
 
@@ -134,7 +131,6 @@ def _place_robot(robot: Robot, data: Measurements) -> Robot:
 
 
 def _stated_sigmas(robot: Robot, data: Measurements) -> Sigmas:
-    """Return the noise of measured points as stated in the description or the measurements."""
     stated = {
         group.name: group.typical for group in Whitening(robot, data).groups if group.stated and group.part.is_position
     }

@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 
 from calib import Robot
-from calib.core.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray, evenly_spread
 from calib.core.instruments.kind import FrameInstrument, Instrument
 from calib.core.instruments.pixel import Pixel
 from calib.core.instruments.touch import Touch
@@ -37,8 +37,7 @@ def instrument_shapes(robot: Robot) -> tuple[Shape, ...]:
 def wires(robot: Robot, bodies: Bodies, solid: PosedRobot) -> tuple[Shape, ...]:
     """Return lines from fixed ends to targets at some of the poses, in the measurement frame."""
     shapes = []
-    poses = np.unique(np.linspace(0, len(solid.values) - 1, _WIRES).astype(int))
-    placed = bodies.poses(solid, poses)
+    placed = bodies.poses(solid, evenly_spread(len(solid.values), _WIRES))
     for instrument in robot.instruments:
         pairs = robot.pairs[instrument.name] if _tells_distances(instrument) else ()
         of_first_setup = pairs[: len(pairs) // max(1, len(robot.description.setups))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from calib import Fit
@@ -39,7 +40,8 @@ class Judgement:
 
 def following_words(fit: Fit, command: str) -> str:
     """Return the next step with file names from the command line of the fit, or its aim alone if some are missing."""
-    following, words, folder = next_step(fit), shlex.split(command), _folder(command)
+    following, words = next_step(fit), shlex.split(command)
+    folder = next((value for word, value in pairwise(words) if word in ("--out", "-o")), "")
     files = {ROBOT: fit.nominal.path, DATA: fit.identification.data.path}
     needed = {files[word] for word in following.command.split() if word in files}
     if not folder or not needed <= set(words):
@@ -60,12 +62,6 @@ def robot_to_load(fit: Fit) -> str:
         f"calibrated.urdf: {worth}; beside this page, for simulators and ROS; for a controller: see calib export"
         f" --help{doubt}"
     )
-
-
-def _folder(command: str) -> str:
-    """Folder of the result in the command line of a fit; empty if it names none."""
-    words = shlex.split(command)
-    return next((words[k + 1] for k, word in enumerate(words[:-1]) if word in ("--out", "-o")), "")
 
 
 def judgement_of_fit(fit: Fit, command: str = "") -> Judgement:

@@ -10,12 +10,10 @@ import functools
 import gzip
 import json
 from importlib.resources import files
-from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 from viz.charts import Chart, Charts
-from viz.viewer_page import digest_of_script, script_safe, viewer_scripts
+from viz.viewer_page import digest_of_script, folder_of_package, script_safe, viewer_scripts
 
 _BOKEH = ("bokeh", "bokeh-api")
 
@@ -53,19 +51,12 @@ def places(**charts: Chart | tuple[Chart | None, ...] | None) -> dict[str, tuple
     }
 
 
-def _bokeh() -> Path:
-    package = find_spec("bokeh")  # importing it would take a second, and only its scripts are needed
-    assert package is not None, "it is among the requirements"
-    return Path(str(package.origin)).parent
-
-
 @functools.cache
 def _library(name: str) -> tuple[str, str]:
-    """A script of Bokeh, compressed, and its digest."""
-    code = (_bokeh() / "server" / "static" / "js" / f"{name}.min.js").read_text(encoding="utf-8")
+    code = (folder_of_package("bokeh") / "server" / "static" / "js" / f"{name}.min.js").read_text(encoding="utf-8")
     return pack(code), digest_of_script(code)
 
 
 @functools.cache
 def _licence() -> str:
-    return (_bokeh() / "LICENSE.txt").read_text(encoding="utf-8")
+    return (folder_of_package("bokeh") / "LICENSE.txt").read_text(encoding="utf-8")

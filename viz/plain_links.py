@@ -13,23 +13,27 @@ their links. Neither they nor the links between them are drawn.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import scipy
 
 from calib import Robot
 from calib.core.base.arrays import FloatArray
 from calib.core.numerics import linalg
+from viz.bodies import links_of_bodies
 from viz.shapes import DARK, GREY, Colour, Shape, rod, rotation_onto_z, translation
 
 _RADIUS = 0.05  # of the root mean square of distances between two anchors
 _THIN = 0.6  # factor on the radius of bodies that passive joints move, such as rods
 _SAME = 1e-3  # of the robot's length: anchors that are closer coincide
 _TURNING = ("revolute", "continuous")
-_BALL = [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)]
+_BALL = np.array([way for way in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
+_BALL /= np.linalg.norm(_BALL, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +64,10 @@ class PlainLinks:
             ring = anchors[np.argsort(np.arctan2(across, along), kind="stable")]
             sides = zip(ring, np.roll(ring, -1, axis=0), strict=True)
             return [part for k, ends in enumerate(sides) for part in _capsule(f"{link}/side{k}", link, *ends, radius)]
-        around = np.array([direction / np.linalg.norm(direction) for direction in np.array(_BALL, dtype=float)])
-        points = (anchors[:, None] + radius * around).reshape(-1, 3)
+        points = (anchors[:, None] + radius * _BALL).reshape(-1, 3)
         hull = scipy.spatial.ConvexHull(points)
-        inwards = np.einsum("ij,ij->i", _normals(points[hull.simplices]), hull.equations[:, :3]) < 0
+        a, b, c = points[hull.simplices].transpose(1, 0, 2)
+        inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
         faces = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
         return [Shape(f"{link}/body", link, "mesh", vertices=points, faces=faces)]
 
@@ -82,7 +86,6 @@ class PlainLinks:
 
     @cached_property
     def _home(self) -> dict[str, float]:
-        """Value of each joint at home [m or rad]."""
         mechanism = self.robot.mechanism
         configurations = self.robot.assemble(self.robot.home[None, :])
         values = mechanism.all_joints(configurations.actuated, configurations.passive)[0]
@@ -92,10 +95,7 @@ class PlainLinks:
     def _floating(self) -> frozenset[str]:
         """Links between passive joints that slide and turn at one place."""
         return frozenset(
-            joint.parent
-            for run in map(self._run, self._moving_joints)
-            if _floats(run, self.robot.mechanism.passive)
-            for joint in run[1:]
+            joint.parent for run in map(self._run, self._moving_joints) if self._floats(run) for joint in run[1:]
         )
 
     def _run(self, link: str) -> list[Any]:
@@ -109,6 +109,11 @@ class PlainLinks:
             link = joint.parent
         return run
 
+    def _floats(self, run: list[Any]) -> bool:
+        """Whether joints at one place let a link slide and turn freely."""
+        sliding = [joint for joint in run if joint.type == "prismatic"]
+        return len(sliding) > 1 and all(joint.name in self.robot.mechanism.passive for joint in run)
+
     @property
     def _largest_difference(self) -> float:
         return _SAME * float(self.robot.mechanism.length)
@@ -116,13 +121,8 @@ class PlainLinks:
     @cached_property
     def _closing_links(self) -> dict[str, list[str]]:
         """Loop closures by link: `ball`, or `drum` if the link still turns about one axis."""
-        mechanism = self.robot.mechanism
-        links: dict[int, str] = {}
-        for name, index in mechanism.frames.items():
-            if name in self.robot.urdf.links:
-                links.setdefault(index, name)
-        closed: dict[str, list[str]] = {}
-        for loop in mechanism.loops:
+        links, closed = links_of_bodies(self.robot), dict[str, list[str]]()
+        for loop in self.robot.mechanism.loops:
             kind = "" if loop.full_pose else "ball" if len(loop.rows) == 3 else "drum"
             for index in (loop.a, loop.b):
                 if index in links:
@@ -133,12 +133,10 @@ class PlainLinks:
         """Points at which joints and loops hold a link, in its frame, (n, 3) [m]."""
         points: list[FloatArray] = []
         run = self._run(link)
-        if link in self._moving_joints and (
-            link in self._closing_links or not _floats(run, self.robot.mechanism.passive)
-        ):
+        if link in self._moving_joints and (link in self._closing_links or not self._floats(run)):
             points.append(np.zeros(3))
         for joint in self._carries.get(link, []):
-            if _floats(self._longest_run(joint), self.robot.mechanism.passive):
+            if self._floats(self._longest_run(joint)):
                 continue
             points.append(np.array(joint.xyz, dtype=float))
             if joint.type == "prismatic":  # the sleeve
@@ -155,11 +153,8 @@ class PlainLinks:
 
     def _prismatic_offset(self, joint: Any, *, in_parent: bool) -> FloatArray:
         """Displacement of a prismatic joint at home, (3,) [m], in the frame of its parent or of its own link."""
-        import pinocchio as pin
-
         way = self._home.get(joint.name, 0.0) * np.array(joint.axis, dtype=float)
-        turned: FloatArray = pin.rpy.rpyToMatrix(*joint.rpy) @ way if in_parent else way
-        return turned
+        return np.asarray(pin.rpy.rpyToMatrix(*joint.rpy) @ way if in_parent else way)
 
     def _longest_run(self, joint: Any) -> list[Any]:
         """The moving joints at the place of a joint, also those after it."""
@@ -187,7 +182,7 @@ class PlainLinks:
             end = link in self._moving_joints and link not in self._carries and link not in self._closing_links
             return [Shape(f"{link}/end", link, "box", (1.6 * radius,) * 3, colour=DARK)] if end else []
         joint = run[-1]
-        if _floats(run, self.robot.mechanism.passive):
+        if self._floats(run):
             return []
         along = np.eye(4)
         along[:3, :3] = rotation_onto_z(np.array(joint.axis, dtype=float))
@@ -204,12 +199,11 @@ class PlainLinks:
     def _closures(self, link: str) -> list[Shape]:
         shapes = []
         for number, kind in enumerate(self._closing_links.get(link, [])):
-            name = f"{link}/closure{number}"
+            name, radius = f"{link}/closure{number}", self._radius
             if kind == "ball":
-                shapes.append(Shape(name, link, "sphere", (1.6 * self._radius,), colour=DARK))
+                shapes.append(Shape(name, link, "sphere", (1.6 * radius,), colour=DARK))
             elif kind == "drum":
-                size = (1.5 * self._radius, 3.0 * self._radius)
-                shapes.append(Shape(name, link, "cylinder", size, colour=DARK))
+                shapes.append(Shape(name, link, "cylinder", (1.5 * radius, 3.0 * radius), colour=DARK))
         return shapes
 
     def gaps(self, link: str, drawn: list[Shape]) -> list[Shape]:
@@ -224,22 +218,10 @@ class PlainLinks:
         return shapes
 
 
-def _floats(run: list[Any], passive: tuple[str, ...]) -> bool:
-    """Whether joints at one place let a link slide and turn freely."""
-    sliding = [joint for joint in run if joint.type == "prismatic"]
-    return len(sliding) > 1 and all(joint.name in passive for joint in run)
-
-
 def _capsule(
     name: str, link: str, start: FloatArray, end: FloatArray, radius: float, colour: Colour = GREY
 ) -> list[Shape]:
-    """A rod with round ends."""
     balls = [
         Shape(f"{name}-end{k}", link, "sphere", (radius,), translation(at), colour) for k, at in enumerate((start, end))
     ]
     return [rod(name, link, start, end, radius, colour), *balls]
-
-
-def _normals(triangles: FloatArray) -> FloatArray:
-    normals: FloatArray = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    return normals

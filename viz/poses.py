@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from calib import Robot
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, evenly_spread
 from calib.core.rows.prediction import PositionUncertainty
 
 IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED = "identification", "validation", "measured", "left out"
@@ -105,19 +105,16 @@ class PoseTable(RowTable):
 
     def error(self, state: str) -> FloatArray:
         """Return predicted minus measured positions `before` or `after` calibration, (n, 3) [m]."""
-        predicted: FloatArray = {"before": self.before, "after": self.after}[state]
-        return predicted - self.measured
+        return np.asarray(getattr(self, state) - self.measured)
 
     def sigma_of_reading(self) -> FloatArray:
         """Return the standard deviation of one reading of each row, per axis, (n,) [m]; NaN where unknown."""
-        sigma: FloatArray = self.sigma * np.sqrt(self.readings)
-        return sigma
+        return np.asarray(self.sigma * np.sqrt(self.readings))
 
     def normalised_residuals(self) -> FloatArray:
         """Return the residuals after calibration over their sigma, both of means, (n, 3); NaN without a sigma."""
         sigma = np.where(self.sigma > 0, self.sigma, np.nan)
-        ratio: FloatArray = self.error("after") / sigma[:, None]
-        return ratio
+        return np.asarray(self.error("after") / sigma[:, None])
 
 
 def rows_shown(table: PoseTable) -> IntArray:
@@ -138,13 +135,8 @@ def spread_rows(outlier: BoolArray, sizes: list[FloatArray]) -> IntArray:
     for lengths in sizes:
         first[np.argsort(-np.nan_to_num(lengths, nan=-1.0), kind="stable")[:WORST]] = True
     matter, others = np.flatnonzero(first), np.flatnonzero(~first)
-    matter = _evenly_spread(matter, min(len(matter), _MOST_ROWS // 2))
-    return np.union1d(matter, _evenly_spread(others, min(len(others), _MOST_ROWS - len(matter)))).astype(np.intp)
-
-
-def _evenly_spread(rows: IntArray, count: int) -> IntArray:
-    """`count` of some rows (n,), evenly spread."""
-    return rows[np.arange(count) * len(rows) // max(count, 1)]
+    matter = matter[evenly_spread(len(matter), _MOST_ROWS // 2)]
+    return np.union1d(matter, others[evenly_spread(len(others), _MOST_ROWS - len(matter))]).astype(np.intp)
 
 
 def average_poses(table: PoseTable) -> PoseTable:

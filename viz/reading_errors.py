@@ -16,7 +16,6 @@ When it fails. Beyond first order: a pixel far off in the image, or a rotation o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,17 +23,16 @@ import numpy as np
 from calib import Fit, Measurements, Robot
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.base.units import ERROR_UNIT
-from calib.core.fitting.error_sets import STATES, ErrorSet
-from calib.core.fitting.outliers import numbers_by_instrument
+from calib.core.fitting.error_sets import STATES
 from calib.core.instruments.kind import Comparison, FrameInstrument, JointInstrument, Part, View
-from calib.core.judging import findings
 from calib.core.numerics import linalg
 from calib.core.results.sections.accuracy import before_in_use
 from calib.core.robots import kinematics
 from calib.core.robots.mechanism import RelativeFrame
 from calib.core.robots.parametrisation import robot_in_use
 from calib.core.rows.observed import views_of_instruments
-from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, RowTable, spread_rows
+from viz.pose_sources import ShownSet, shown_sets
+from viz.poses import RowTable, spread_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +76,11 @@ class ReadingErrors(RowTable):
 
     def arrows(self, state: str) -> FloatArray:
         """Return the arrows `before` or `after` calibration, (n, 3) [m or rad]."""
-        return {"before": self.before, "after": self.after}[state]
+        return np.asarray(getattr(self, state))
 
     def residuals(self, state: str) -> FloatArray:
         """Return predicted minus read `before` or `after`, (n, n_axes) [SI]."""
-        return {"before": self.residuals_before, "after": self.residuals_after}[state]
+        return np.asarray(getattr(self, f"residuals_{state}"))
 
     def sizes(self, state: str) -> FloatArray:
         """Return the sizes of the errors, (n,) [SI]; NaN where no component is known."""
@@ -102,55 +100,24 @@ class _SeenReadings(ReadOnlyArrays):
     Attributes:
         points: The observed point of each reading, (n, 3) [m].
         axes: Axes of the observing frame, (n, 3, 3).
-        residuals: Predicted minus read, (n, n_rows) [SI].
-        by_motion: Derivative by the point's motion [dp; dw] in these axes, (n, n_rows, 6).
+        by_motion: Derivative of the residuals by the point's motion [dp; dw] in these axes, (n, n_rows, 6).
     """
 
     points: FloatArray
     axes: FloatArray
-    residuals: FloatArray
     by_motion: FloatArray
 
 
 def reading_errors_of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
     """Return the errors of all readings of a fit other than positions, part by part."""
-    tables = []
     placed = robot_in_use(fit.placed)
-    sets = [(IDENTIFICATION, fit.identification, fit.rows, findings.outliers(fit))]
-    if fit.validation is not None and fit.validation_rows is not None:
-        sets.append((VALIDATION, fit.validation, fit.validation_rows, findings.validation_outliers(fit)))
-    for group, errors, rows, outliers in sets:
-        marked = numbers_by_instrument([outlier.reading for outlier in outliers], rows.layout)
-        tables += _tables_of_set(group, before_in_use(fit, errors), placed, fit.robot, marked)
-    left_out = findings.excluded_errors(fit)
-    if left_out is not None:
-        marked = {name: np.arange(len(readings)) for name, readings in left_out.data.readings.items()}
-        tables += _tables_of_set(EXCLUDED, before_in_use(fit, left_out), placed, fit.robot, marked)
-    return _join_tables(tables)
+    sets = [replace(shown, errors=before_in_use(fit, shown.errors)) for shown in shown_sets(fit)]
+    return _join_tables([table for shown in sets for table in _tables_of_set(shown, placed, fit.robot)])
 
 
-def reading_errors_of_measurements(
-    data: Measurements, nominal: Robot, calibrated: Robot | None
-) -> tuple[ReadingErrors, ...]:
-    """Return the errors of readings other than positions, part by part, against robots before and after calibration.
-
-    Raises:
-        UnreachablePoseError: A pose cannot be assembled.
-    """
-    others = {name for name in data.readings if _other_parts(nominal, name)}
-    if not others:
-        return ()
-    data = replace(data, readings={name: data.readings[name] for name in others})
-    before = {name: seen.residuals for name, seen in _seen_readings(nominal, data).items()}
-    after = {name: np.full_like(residuals, np.nan) for name, residuals in before.items()}
-    if calibrated is not None:
-        after = {name: seen.residuals for name, seen in _seen_readings(calibrated, data).items()}
-    errors = ErrorSet(data, nominal.instruments, before, after, np.full(len(data), np.nan))
-    return _join_tables(_tables_of_set(MEASURED, errors, nominal, calibrated, {}))
-
-
-def _other_parts(robot: Robot, name: str) -> list[Part]:
-    return [part for part in robot.instrument(name).parts if not part.is_position]
+def reading_errors_of_set(shown: ShownSet, calibrated: Robot | None) -> tuple[ReadingErrors, ...]:
+    """Return the errors of readings other than positions, part by part, of measurements that were in no fit."""
+    return _join_tables(_tables_of_set(shown, shown.placed, calibrated))
 
 
 def _join_tables(tables: list[ReadingErrors]) -> tuple[ReadingErrors, ...]:
@@ -161,50 +128,45 @@ def _join_tables(tables: list[ReadingErrors]) -> tuple[ReadingErrors, ...]:
     return tuple(first.followed_by(others) for first, *others in by_part.values())
 
 
-def _tables_of_set(
-    group: str, errors: ErrorSet, placed: Robot, calibrated: Robot | None, outliers: Mapping[str, IntArray]
-) -> list[ReadingErrors]:
+def _tables_of_set(shown: ShownSet, placed: Robot, calibrated: Robot | None) -> list[ReadingErrors]:
     """The errors of a set of readings, by instrument and part, pose by pose."""
-    data = errors.data
-    names = {instrument.name for instrument, part, _ in errors.parts() if not part.is_position}
-    if not names:
+    data = shown.errors.data
+    others = [part for part in shown.errors.parts() if not part[1].is_position]
+    if not others:
         return []
-    data = replace(data, readings={name: data.readings[name] for name in data.readings if name in names})
-    seen = {"before": _seen_readings(placed, data)}
-    if calibrated is not None:
-        seen["after"] = _seen_readings(calibrated, data)
+    names = {instrument.name for instrument, _, _ in others}
+    data = replace(data, readings={name: own for name, own in data.readings.items() if name in names})
+    before = _seen_readings(placed, data)
+    after = before if calibrated is None else _seen_readings(calibrated, data)
     tables = []
-    for instrument, part, rows in errors.parts():
-        if part.is_position:
-            continue
-        readings = data.readings[instrument.name]
-        residuals = {state: getattr(errors, state)[instrument.name][:, rows] for state in STATES}
-        arrows, turns, best = {}, False, seen[max(seen, key=STATES.index)][instrument.name]
-        for state in STATES:
-            about = seen.get(state, seen["before"])[instrument.name]
+    for instrument, part, rows in others:
+        readings, n = data.readings[instrument.name], len(data.readings[instrument.name])
+        residuals = {state: getattr(shown.errors, state)[instrument.name][:, rows] for state in STATES}
+        arrows, turns = {}, False
+        for state, seen in (("before", before), ("after", after)):
+            about = seen[instrument.name]
             motion, turns = smallest_motion(about.by_motion[:, rows], residuals[state])
             arrows[state] = np.einsum("nij,nj->ni", about.axes, motion)
-        state = "before" if calibrated is None else "after"
+        last = arrows["before" if calibrated is None else "after"]
         texts = instrument.texts(readings.pairs, readings.details)
-        outlier = np.zeros(len(readings), dtype=bool)
-        outlier[outliers.get(instrument.name, [])] = True
+        words = zip(*texts.values(), strict=True) if texts else [()] * n
+        outlier = np.zeros(n, dtype=bool)
+        outlier[shown.outliers.get(instrument.name, [])] = True
         table = ReadingErrors(
             part=part,
             turns=turns,
             joints=data.joints[readings.visits],
-            anchors=best.points - (0.0 if turns else np.nan_to_num(arrows[state])),
+            anchors=after[instrument.name].points - (0.0 if turns else np.nan_to_num(last)),
             before=arrows["before"],
             after=arrows["after"],
             residuals_before=residuals["before"],
             residuals_after=residuals["after"],
-            pixels=readings.values[:, rows] if part.dimension == "pixel" else np.zeros((len(readings), 0)),
-            group=(group,) * len(readings),
+            pixels=readings.values[:, rows] if part.dimension == "pixel" else np.zeros((n, 0)),
+            group=(shown.group,) * n,
             outlier=outlier,
             labels=tuple(data.names[visit] for visit in readings.visits),
-            targets=tuple(" ".join((instrument.name, *words)) for words in zip(*texts.values(), strict=True))
-            if texts
-            else (instrument.name,) * len(readings),
-            instruments=(instrument.name,) * len(readings),
+            targets=tuple(" ".join((instrument.name, *own)) for own in words),
+            instruments=(instrument.name,) * n,
         )
         tables.append(table.subset(np.argsort(data.pose_numbers[readings.visits], kind="stable")))
     return tables
@@ -226,12 +188,11 @@ def smallest_motion(by_motion: FloatArray, residuals: FloatArray) -> tuple[Float
     by = np.where(read[:, :, None], slopes, 0.0)
     residuals = np.where(read, residuals, 0.0)
     motion = np.einsum("nij,nj->ni", linalg.pinv(by, rcond=1e-9), residuals)
-    result: FloatArray = np.where(np.any(read, axis=1)[:, None], motion, np.nan)
-    return result, bool(turns)
+    return np.where(np.any(read, axis=1)[:, None], motion, np.nan), bool(turns)
 
 
 def _seen_readings(robot: Robot, data: Measurements) -> dict[str, _SeenReadings]:
-    """The observed points, frames and residuals of readings, by instrument."""
+    """The observed points and frames of readings, by instrument."""
     configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
     mechanism, base = robot.mechanism, robot.mechanism.targets[0].a
     views, result = views_of_instruments(robot, configurations, data.readings), {}
@@ -255,7 +216,7 @@ def _seen_readings(robot: Robot, data: Measurements) -> dict[str, _SeenReadings]
             poses = _poses(robot, joints, base, index + 1)[readings.visits]
             by_motion = compared.by_joint[:, :, None] * mechanism.axes[index]
         points = np.einsum("nij,nj->ni", poses[:, :3, :3], points) + poses[:, :3, 3]
-        result[name] = _SeenReadings(points, poses[:, :3, :3], compared.residuals, by_motion)
+        result[name] = _SeenReadings(points, poses[:, :3, :3], by_motion)
     return result
 
 

@@ -20,7 +20,6 @@ from viz.charts import COLOURS
 from viz.poses import EXCLUDED
 from viz.reading_errors import ReadingErrors
 from viz.scene import ViewerScene, nice_factor
-from viz.scene_data import rows_of
 
 
 def recording(scene: ViewerScene) -> bytes:
@@ -41,9 +40,9 @@ def recording(scene: ViewerScene) -> bytes:
         colour = [round(255 * part) for part in shape.colour]
         drawn = rr.Mesh3D(vertex_positions=vertices, triangle_indices=faces, albedo_factor=colour)
         stream.log(f"{place}/{k}", drawn, static=True)
-    factors, first = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:], 0
+    first = 0
     of_robot = [np.arange(len(scene.shown)), *scene.pose_of_row] if scene.shows_poses else list(scene.pose_of_row)
-    for rows, enlarged, poses in zip(rows_of(scene), factors, of_robot, strict=True):
+    for rows, enlarged, poses in zip(scene.rows, scene.factors, of_robot, strict=True):
         name = rows.part.name.replace(" ", "_")
         known = np.isfinite(rows.anchors).all(axis=1)
         labels = [f"pose {label}{', left out' if group == EXCLUDED else ', outlier' if bad else ''}"

@@ -19,7 +19,7 @@ from calib.core.judging.verdict import judge
 from calib.core.results.sections.accuracy import judging_errors
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber
 from calib.core.results.sections.outliers import LEFT_OUT, excluded_rows, outlier_rows
-from viz.pose_sources import pose_table_of_errors
+from viz.pose_sources import fitted_set
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, average_poses
 from viz.remarks import tolerance
 
@@ -85,8 +85,7 @@ def worst(fit: Fit) -> str:
     if not errors.main_part.is_position:
         return _worst_reading(errors)
     used = VALIDATION if group.startswith(VALIDATION) else IDENTIFICATION
-    outliers = findings.validation_outliers(fit) if used == VALIDATION else findings.outliers(fit)
-    table = average_poses(pose_table_of_errors(fit, used, errors, outliers=outliers))
+    table = average_poses(fitted_set(fit, used, errors).table())
     row = int(np.nanargmax(np.linalg.norm(table.error("after"), axis=1)))
     shown = millimetres(table.measured[row])
     place = ", ".join(f"{axis} {_whole(value)}" for axis, value in zip("xyz", shown, strict=True))

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from calib import Fit
+from calib.core.base.arrays import FloatArray
+from calib.core.fitting.estimates import Estimate
 from calib.core.judging import findings
 from calib.core.results.sections.budget import budget_table
 from calib.core.results.sections.files_held import files_grid
@@ -58,28 +60,34 @@ def _piece(names: Sequence[str], groups: Sequence[Any], x: Any, band: tuple[str,
     return panel(x, axis("", names=names), layers, height=height)
 
 
+def relative_changes(fit: Fit) -> tuple[list[Estimate], FloatArray, FloatArray]:
+    """Return the robot's own free parameters, their changes and half intervals in sigmas of their priors, (n,) each."""
+    free = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
+    found, sigma = [fit.parameters[p.name] for p in free], np.array([p.sigma for p in free])
+    change = np.array([one.value - one.nominal for one in found])
+    return found, change / sigma, np.array([one.high95 - one.value for one in found]) / sigma
+
+
 def parameters(fit: Fit) -> Chart | None:
     """Return the change of every free parameter of the robot with its interval, in expected sigmas, largest first.
 
     The coefficients of curves are left out: hundreds, of which none says anything alone.
     """
-    free = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
-    own = [p for p in free if not p.family]
-    if not own:
+    free, change, half = relative_changes(fit)
+    own = np.flatnonzero([not one.family for one in free])
+    if not len(own):
         return None
-    found = [fit.parameters[p.name] for p in own]
-    ratio = np.array([one.value - one.nominal for one in found]) / [p.sigma for p in own]
-    order = np.argsort(-np.abs(ratio), kind="stable")
-    found, sigma, change = [found[k] for k in order], np.array([own[k].sigma for k in order]), ratio[order]
-    half = np.array([one.high95 - one.value for one in found]) / sigma
+    order = own[np.argsort(-np.abs(change[own]), kind="stable")]
+    found = [free[k] for k in order]
+    prior = {parameter.name: parameter.sigma for parameter in fit.nominal.parameters}
     texts = [
         f"{one.name}: {one.nominal:.4f} → {one.value:.4f} {one.unit}, 95 % from {one.low95:.4f} to {one.high95:.4f};"
-        f" prior ± {one_sigma:.3g} {one.unit}; {one.status}"
-        for one, one_sigma in zip(found, sigma.tolist(), strict=True)
+        f" prior ± {prior[one.name]:.3g} {one.unit}; {one.status}"
+        for one in found
     ]
     drawn = forest(
         [one.name for one in found],
-        [("change", COLOURS["after"], change, half, texts)],
+        [("change", COLOURS["after"], change[order], half[order], texts)],
         "change [sigma of the prior]",
         ("expected beforehand (95 %)", 2.0),
     )

@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy
 
 from calib import Fit, Robot
-from calib.core.base.arrays import FloatArray, IntArray
-from calib.core.base.units import DISPLAY_UNIT, in_unit
+from calib.core.base.arrays import FloatArray, IntArray, evenly_spread
+from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, in_unit
 from calib.core.base.words import count_noun
 from calib.core.fitting.error_sets import STATES
-from calib.core.results.sections.noise import instrument_blocks
+from calib.core.instruments.kind import Part
+from calib.core.instruments.position import POSITION
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
-from viz.decorations import decorations_of
 from viz.drive import drive_data
 from viz.geometry import read_shapes
 from viz.instrument_shapes import instrument_shapes, wires
-from viz.judgement import Judgement
-from viz.judgement import judgement_of_fit as judgement_of_fit
+from viz.judgement import Judgement, judgement_of_fit
 from viz.pose_sources import from_fit
 from viz.poses import PoseTable, empty, rows_shown
-from viz.reading_errors import ReadingErrors
-from viz.reading_errors import reading_errors_of_fit as readings_of_fit
+from viz.reading_errors import ReadingErrors, reading_errors_of_fit
 from viz.remarks import fit_remarks, remarks
 from viz.shapes import Shape
-from viz.surroundings import surrounding_shapes
+from viz.surroundings import decorations_of, surrounding_shapes
 from viz.workspace_map import WorkspaceMap
 
 _NICE = (1.0, 2.0, 5.0)
@@ -56,6 +55,11 @@ class SceneView:
     high: FloatArray
     outline: FloatArray
     direction: FloatArray
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the box [m]."""
+        return float(np.linalg.norm(self.high - self.low))
 
 
 @dataclass(frozen=True)
@@ -137,21 +141,38 @@ class ViewerScene:
         """Number of rows of a page."""
         return (len(self.poses) if self.shows_poses else 0) + sum(map(len, self.readings))
 
+    @cached_property
+    def rows(self) -> tuple[ReadingErrors, ...]:
+        """Rows of the page, part by part: points first, at their measured, or else predicted, places."""
+        if not self.shows_poses:
+            return self.readings
+        table = self.poses.subset(self.shown)
+        predicted = np.where(np.isfinite(table.after), table.after, table.before)
+        places = np.where(np.isfinite(table.measured), table.measured, predicted)
+        before, after = table.error("before"), table.error("after")
+        points = ReadingErrors(
+            POSITION, False, table.joints, places, before, after, before, after, np.zeros((len(table), 0)), table.group,
+            table.outlier, table.labels, table.targets, table.targets,
+        )  # fmt: skip
+        return (points, *self.readings)
+
+    @property
+    def factors(self) -> tuple[dict[str, float], ...]:
+        """First exaggeration of the errors of each state, of each part of `rows`."""
+        return self.vector_factors if self.shows_poses else self.vector_factors[1:]
+
 
 def scene_of_fit(fit: Fit, judgement: Judgement | None = None) -> ViewerScene:
     """Return the scene of a fit, with a given verdict or its own."""
-    verdict, notes = judgement or judgement_of_fit(fit), fit.reported_uncertainty.notes
-    comments, others = fit_remarks(fit), other_errors(fit.nominal, instrument_blocks(fit), fit.errors)
-    table, readings = from_fit(fit), readings_of_fit(fit)
     return build_scene(
         fit.placed,
         fit.robot,
-        table,
-        readings,
-        verdict=verdict,
-        uncertainty_notes=notes,
-        comments=comments,
-        others=others,
+        from_fit(fit),
+        reading_errors_of_fit(fit),
+        verdict=judgement or judgement_of_fit(fit),
+        uncertainty_notes=fit.reported_uncertainty.notes,
+        comments=fit_remarks(fit),
+        others=other_errors(fit),
     )
 
 
@@ -194,7 +215,7 @@ def build_scene(
     shapes += instrument_shapes(solid_robot) + surrounding_shapes(solid_robot)
     decorations = (*decorations_of(nominal.name), *wires(solid_robot, bodies, solid))
     view = _view(bodies, solid, shapes, decorations, table)
-    size = float(np.linalg.norm(view.high - view.low))
+    size = view.size
     every = [
         (table.measured, {state: table.error(state) for state in STATES}),
         *((errors.anchors, {state: errors.arrows(state) for state in STATES}) for errors in kept),
@@ -231,37 +252,38 @@ def build_scene(
     )
 
 
-def other_errors(
-    robot: Robot, blocks: Iterable[Mapping[str, Any]], together: Mapping[str, Any]
-) -> tuple[dict[str, Any], ...]:
-    """Return the errors of a robot's instruments other than errors of positions, from entries of `result.json`.
+def other_errors(fit: Fit) -> tuple[dict[str, Any], ...]:
+    """Return the errors of a fit's instruments other than errors of positions.
 
-    `blocks` is the entry `instruments`, and `together` the entry `errors`, of the main part of all instruments; it
-    comes first if several instruments have that part and it is no position. Each has the RMS and the largest error of
-    each set, before and after calibration, in its own unit.
+    Each has the RMS and the largest error of each set, before and after calibration, in its own unit. If several
+    instruments have the main part, and it is no position, the errors of all of them come first.
     """
-    read = [
-        (block["name"], part, known.is_position)
-        for block in blocks
-        for part, known in zip(block["parts"], robot.instrument(block["name"]).parts, strict=True)
-        if part["errors"]
-    ]
-    others = [(name, part) for name, part, is_position in read if not is_position]
-    errors = [_errors_of([name], part, part["errors"]) for name, part in others]
-    if errors and len(others) == len(read):
-        several = [name for name, part in others if part["name"] == errors[0]["part"]]
+    tables = {group: errors.tables() for group, errors in fit.error_sets.items()}
+    read = []
+    for instrument in fit.nominal.instruments:
+        own = {group: table[instrument.name] for group, table in tables.items() if instrument.name in table}
+        if own:
+            read += [
+                (instrument.name, part, {group: table[part.name] for group, table in own.items()})
+                for part in instrument.parts
+            ]
+    others = [(name, part, errors) for name, part, errors in read if not part.is_position]
+    result = [_errors_of([name], part, errors) for name, part, errors in others]
+    if others and len(others) == len(read):
+        main = others[0][1]
+        several = [name for name, part, _ in others if part.name == main.name]
         if len(several) > 1:
-            return (_errors_of(several, others[0][1], together), *errors)
-    return tuple(errors)
+            return (_errors_of(several, main, fit.errors), *result)
+    return tuple(result)
 
 
-def _errors_of(instruments: list[str], part: Mapping[str, Any], errors: Mapping[str, Any]) -> dict[str, Any]:
+def _errors_of(instruments: list[str], part: Part, errors: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     return {
         "instruments": instruments,
         "of": instruments[0] if len(instruments) == 1 else count_noun(len(instruments), "instrument"),
         "several": len(instruments) > 1,
-        "part": part["name"],
-        "unit": part["unit"],
+        "part": part.name,
+        "unit": ERROR_UNIT[part.dimension],
         "sets": [
             {"group": name, **{state: [float(off[state][size]) for size in ("rms", "max")] for state in STATES}}
             for name, off in errors.items()
@@ -336,7 +358,7 @@ def _view(
     number = {name: body for body, name in enumerate(bodies.names)}
     robot = [np.zeros((0, 3))]
     corners = [(number[str(shape.body)], shape.corners()) for shape in shapes]
-    for matrices in bodies.matrices(solid, np.unique(np.linspace(0, len(solid.values) - 1, _LOOKED_AT).astype(int))):
+    for matrices in bodies.matrices(solid, evenly_spread(len(solid.values), _LOOKED_AT)):
         robot += [own @ matrices[body, :3, :3].T + matrices[body, :3, 3] for body, own in corners]
     predicted = table.before if not np.any(np.isfinite(table.after)) else table.after
     points = predicted[np.all(np.isfinite(predicted), axis=1)]

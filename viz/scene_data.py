@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.units import in_unit, millimetres
 from calib.core.fitting.error_sets import STATES
-from calib.core.instruments.position import POSITION
 from viz.bodies import PosedRobot
 from viz.drawing import body_path, draw
 from viz.poses import COLLIDES, EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, PLANNED, VALIDATION, WORST
@@ -85,7 +84,7 @@ def scene_data(scene: ViewerScene, *, live: bool = False) -> dict[str, Any]:
         "map": None if scene.map is None else _map(scene, scene.map),
         "colours": _encode(colours()),
         "point_radius": point_radius(scene),
-        "point_pixels": point_pixels(max((len(rows) for rows in rows_of(scene)), default=0)),
+        "point_pixels": point_pixels(max((len(rows) for rows in scene.rows), default=0)),
     }
 
 
@@ -98,9 +97,8 @@ def summary(scene: ViewerScene) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"group": name, "count": int(np.sum(chosen))}
         for state in scene.states:
             lengths = np.linalg.norm(scene.poses.error(state)[chosen], axis=1)
-            lengths = millimetres(lengths[np.isfinite(lengths)])
-            known = {"rms": float(np.sqrt(np.mean(lengths**2))), "max": float(lengths.max())} if len(lengths) else None
-            row[state] = known
+            known = millimetres(lengths[np.isfinite(lengths)])
+            row[state] = {"rms": float(np.sqrt(np.mean(known**2))), "max": float(known.max())} if len(known) else None
         if row["count"] and scene.states and scene.shows_poses:
             rows.append(row)
     return rows
@@ -114,16 +112,18 @@ def certainty(scene: ViewerScene) -> dict[str, Any]:
         of measured positions, which are means of readings. `readings`: smallest and largest number of these readings.
         `predicted`: standard deviation of predicted positions, all axes together, on average and at worst.
     """
-    table = scene.poses
-    noise = table.sigma_of_reading()
+    table, noise = scene.poses, scene.poses.sigma_of_reading()
     known = np.isfinite(noise)
     spread = np.linalg.norm(table.spread, axis=1)
     spread = spread[np.isfinite(spread) & np.any(spread > _EXACT)]
+    predicted = [millimetres(float(length)) for length in (spread.mean(), spread.max())] if len(spread) else None
+    if not np.any(known):
+        return {"noise": None, "means": None, "readings": None, "predicted": predicted}
     return {
-        "noise": millimetres(float(np.median(noise[known]))) if np.any(known) else None,
-        "means": [millimetres(float(pick(table.sigma[known]))) for pick in (np.min, np.max)] if np.any(known) else None,
-        "readings": [int(pick(table.readings[known])) for pick in (np.min, np.max)] if np.any(known) else None,
-        "predicted": [millimetres(float(length)) for length in (spread.mean(), spread.max())] if len(spread) else None,
+        "noise": millimetres(float(np.median(noise[known]))),
+        "means": [millimetres(float(pick(table.sigma[known]))) for pick in (np.min, np.max)],
+        "readings": [int(pick(table.readings[known])) for pick in (np.min, np.max)],
+        "predicted": predicted,
     }
 
 
@@ -164,8 +164,8 @@ def colours() -> NDArray[np.uint8]:
 
 def point_radius(scene: ViewerScene) -> float:
     """Return a radius [m] at which points are easy to see and rarely hide each other."""
-    size = float(np.linalg.norm(scene.view.high - scene.view.low))
-    anchors = np.concatenate([rows.anchors for rows in rows_of(scene)])
+    size = scene.view.size
+    anchors = np.concatenate([rows.anchors for rows in scene.rows])
     grid = max(_SAME * size, 1e-6)  # points of several instruments at one place count once
     points = grid * np.unique(np.round(anchors[np.isfinite(anchors).all(axis=1)] / grid), axis=0)
     if len(points) < 2:
@@ -179,14 +179,6 @@ def point_pixels(count: int) -> float:
     return float(np.clip(_POINT_PIXELS[1] * np.sqrt(_FEW_POINTS / max(count, 1)), *_POINT_PIXELS))
 
 
-def _places(scene: ViewerScene) -> FloatArray:
-    """The place of each point: measured, or else predicted, if possible after calibration, (n, 3) [m]."""
-    table = scene.poses
-    predicted = np.where(np.isfinite(table.after), table.after, table.before)
-    places: FloatArray = np.where(np.isfinite(table.measured), table.measured, predicted)
-    return places
-
-
 def _left_out_notes(shown: int, n: int) -> list[str]:
     if shown == n:
         return []
@@ -196,24 +188,10 @@ def _left_out_notes(shown: int, n: int) -> list[str]:
     ]
 
 
-def rows_of(scene: ViewerScene) -> list[ReadingErrors]:
-    """Return the rows of the page, part by part, points first."""
-    if not scene.shows_poses:
-        return list(scene.readings)
-    table, places = scene.poses.subset(scene.shown), _places(scene)[scene.shown]
-    before, after = table.error("before"), table.error("after")
-    points = ReadingErrors(
-        POSITION, False, table.joints, places, before, after, before, after, np.zeros((len(table), 0)), table.group,
-        table.outlier, table.labels, table.targets, table.targets,
-    )  # fmt: skip
-    return [points, *scene.readings]
-
-
 def _parts(scene: ViewerScene) -> list[dict[str, Any]]:
     """Parts of errors in the page: names, units, colour limits in these units, first enlargements."""
-    factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
     parts = []
-    for rows, enlargements in zip(rows_of(scene), factors, strict=True):
+    for rows, enlargements in zip(scene.rows, scene.factors, strict=True):
         is_position = rows.part.is_position
         every = {state: scene.poses.error(state) for state in STATES} if is_position else {}
         sizes = {state: np.linalg.norm(errors, axis=1) for state, errors in every.items()}
@@ -259,7 +237,7 @@ def _table(scene: ViewerScene) -> dict[str, Any]:
 
     Readings other than positions also have sizes and components of errors, in the unit of their part.
     """
-    parts, shown = rows_of(scene), scene.shown
+    parts, shown = scene.rows, scene.shown
     points = scene.poses.subset(shown if scene.shows_poses else shown[:0])
     n_others = sum(map(len, scene.readings))
     codes = [
@@ -301,7 +279,7 @@ def _components(errors: ReadingErrors, state: str) -> FloatArray:
 
 def _map(scene: ViewerScene, known: WorkspaceMap) -> dict[str, Any]:
     """The map, with a first enlargement that makes typical ellipsoids visible."""
-    size = float(np.linalg.norm(scene.view.high - scene.view.low))
+    size = scene.view.size
     longest = np.linalg.norm(known.half_axes, axis=1).max(axis=1, initial=0.0)
     typical = float(np.median(longest)) if len(longest) else float("nan")
     return {
@@ -320,7 +298,6 @@ def _map(scene: ViewerScene, known: WorkspaceMap) -> dict[str, Any]:
 
 
 def _span(values: FloatArray) -> list[float]:
-    """Smallest and largest of the finite values."""
     known = values[np.isfinite(values)]
     return [float(known.min()), max(float(known.max()), _EXACT)] if len(known) else [0.0, _EXACT]
 

@@ -1,7 +1,14 @@
-"""Obstacles, parts of the tool and lines of sight of a description, as shapes."""
+"""Surroundings of a robot as shapes: obstacles and parts of the tool of a description, and what other packages know.
+
+A package registers a function in the entry point group `viz.decorations`, under the robot's name in its URDF, for
+surroundings such as a target workspace. Called without arguments, the function returns shapes whose `body` is None, in
+the measurement frame.
+"""
 
 from __future__ import annotations
 
+import functools
+from importlib.metadata import entry_points
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -11,11 +18,18 @@ from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DescriptionError
 from calib.core.robots.mechanism import rigid
 from calib.motion.surroundings import ObstacleSection, ShapeSection
+from viz.bodies import links_of_bodies
 from viz.shapes import Colour, Shape, translation
 
 _STONE: Colour = (0.72, 0.66, 0.58, 0.55)
 _TOOL: Colour = (0.80, 0.58, 0.20, 0.6)
 _PLANE = 2.5  # edge of a drawn floor, in characteristic lengths of the robot
+
+
+@functools.cache  # a search through all installed packages takes a tenth of the time of a live viewer's new scene
+def decorations_of(robot_name: str) -> tuple[Shape, ...]:
+    """Return the shapes that installed packages give for the robot of this name."""
+    return tuple(shape for entry in entry_points(group="viz.decorations", name=robot_name) for shape in entry.load()())
 
 
 def surrounding_shapes(robot: Robot) -> tuple[Shape, ...]:
@@ -24,10 +38,16 @@ def surrounding_shapes(robot: Robot) -> tuple[Shape, ...]:
     Raises:
         DescriptionError: A mesh cannot be read.
     """
-    description, mechanism = robot.description, robot.mechanism
+    description, mechanism, links = robot.description, robot.mechanism, links_of_bodies(robot)
     obstacles = description.obstacles if isinstance(description.obstacles, dict) else {}
     shapes = [
-        _shape(f"obstacle/{name}", _body(robot, section.frame), section, _STONE, _PLANE * mechanism.length)
+        _shape(
+            f"obstacle/{name}",
+            links[0 if section.frame is None else mechanism.joint(section.frame)],
+            section,
+            _STONE,
+            _PLANE * mechanism.length,
+        )
         for name, section in obstacles.items()
     ]
     shapes += [
@@ -36,11 +56,6 @@ def surrounding_shapes(robot: Robot) -> tuple[Shape, ...]:
         if target.shape is not None
     ]
     return tuple(shapes)
-
-
-def _body(robot: Robot, frame: str | None) -> str:
-    joint = 0 if frame is None else robot.mechanism.joint(frame)
-    return next(link for link in robot.urdf.links if robot.mechanism.frames.get(link) == joint)
 
 
 def _shape(name: str, body: str, section: ShapeSection, colour: Colour, plane: float) -> Shape:

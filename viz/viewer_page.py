@@ -122,13 +122,16 @@ def scene_page(scene: ViewerScene, *, live: bool = False, report: str = "", embe
 
 def meshcat_script() -> tuple[str, str]:
     """Return meshcat's viewer (with three.js) and its licences."""
-    package = find_spec("meshcat")  # importing it would bring IPython
+    script = folder_of_package("meshcat") / "viewer" / "dist" / "main.min.js"
+    licences = script.with_name("main.min.js.LICENSE.txt")
+    return script.read_text(encoding="utf-8"), licences.read_text(encoding="utf-8")
+
+
+def folder_of_package(name: str) -> Path:
+    """Return the folder of a required package, without importing it: that takes a second, and may bring IPython."""
+    package = find_spec(name)
     assert package is not None, "it is among the requirements"
-    folder = Path(str(package.origin)).parent / "viewer" / "dist"
-    return (
-        (folder / "main.min.js").read_text(encoding="utf-8"),
-        (folder / "main.min.js.LICENSE.txt").read_text(encoding="utf-8"),
-    )
+    return Path(str(package.origin)).parent
 
 
 def script_safe(code: str) -> str:
@@ -144,12 +147,6 @@ def digest_of_script(code: str) -> str:
 def json_in_script(data: object) -> str:
     """Return JSON in which no text can end the script element around it."""
     text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    for letter, code in (
-        ("<", "\\u003c"),
-        (">", "\\u003e"),
-        ("&", "\\u0026"),
-        ("\u2028", "\\u2028"),
-        ("\u2029", "\\u2029"),
-    ):
-        text = text.replace(letter, code)
+    for letter in "<>&\u2028\u2029":
+        text = text.replace(letter, f"\\u{ord(letter):04x}")
     return text

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from calib import Robot
-from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays, evenly_spread
 from calib.core.numerics import linalg
 from viz.poses import PoseTable, PredictingRobot
 
@@ -110,7 +110,7 @@ def _ellipsoids(calibrated: PredictingRobot, table: PoseTable) -> tuple[FloatArr
     if not len(table):
         return np.zeros((0, 3)), np.zeros((0, 3, 3))
     first = np.unique(np.round(table.joints, 9), axis=0, return_index=True)[1]
-    chosen = np.sort(first)[np.unique(np.linspace(0, len(first) - 1, _ELLIPSOIDS).astype(int))]
+    chosen = np.sort(first)[evenly_spread(len(first), _ELLIPSOIDS)]
     known = calibrated.predict(table.joints[chosen])
     sizes, axes = linalg.eigh(known.covariance.reshape(-1, 3, 3))
     reach = (

@@ -214,17 +214,14 @@ def close(
     """Newton on the passive joints, in place, as `calib.core.robots.continuation.newton` says.
 
     Args:
-        loops: The loops, whose gaps must be zero.
         blocks, signs: `places` and `signs` of the assembly mode.
         rest: Joint values without the passive ones, (n, n_joints).
         passive: Start values, replaced by the solution, (n, n_passive).
         scale: Divisor of changes of each passive joint, (n_passive,).
-        enough: Largest residual of a closed pose.
-        sure: Largest residual of a closed pose if predicted from the two before it; 0: none is predicted.
-        largest: Largest first correction from a start that is near enough.
-        rounds: Largest number of corrections.
-        slope: Where to put C_p of closed poses, (n, n_passive, n_passive); empty: not wanted.
-        by_motor: The same for C_a, (n, n_passive, n_actuated).
+        enough, sure: Largest residual of a closed pose: computed, and predicted from the two before it (0: never).
+        largest, rounds: Largest first correction from a start that is near enough, and most corrections.
+        slope, by_motor: Where to put C_p and C_a of closed poses, (n, n_passive, n_passive), (n, n_passive,
+            n_actuated); empty: not wanted.
         closed: Where to put the mask of the poses that closed in the assembly mode, (n,).
     """
     (n, n_passive), n_joints = passive.shape, rest.shape[1]
@@ -301,8 +298,7 @@ def motion(
     Args:
         T: Result of `poses`.
         places: Frames a and b of each row, which coordinate, and whether it is a turn, not a position, (4, n_rows).
-        signs: Effect of each joint: +1 moves only b, -1 only a, else 0; of each row, then of each row of the loops,
-            (n_rows + n_passive, n_joints).
+        signs: `Loops.signs` of each row, then of each row of the loops, (n_rows + n_passive, n_joints).
         direct: The further derivative of the rows by the passive joints, (n_rows, n_passive).
         entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), and twist in
             the frame before the origin, (n_entries, 6).

@@ -18,6 +18,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
+from calib.core.base.sections import ANGLE_COMPONENTS
 from calib.core.numerics import linalg
 from calib.core.results.urdf import with_inserted
 from calib.core.robots.closure import residual
@@ -72,7 +73,6 @@ class ClosedModel:
     Attributes:
         urdf: Calibrated URDF, with free joints added where requested.
         home: Value of every moving joint in an assembled configuration [m or rad].
-        actuated: Joints with a motor.
         inertia: Inertia at each motor at home, loops closed, the other motors at rest [kg or kg m^2].
         ties: Ties that close the loops.
         gaps: Gaps that the ties have to absorb; empty with free joints.
@@ -82,7 +82,6 @@ class ClosedModel:
 
     urdf: UrdfText
     home: dict[str, float]
-    actuated: tuple[str, ...]
     inertia: tuple[float, ...]
     ties: tuple[Tie, ...]
     gaps: tuple[Gap, ...]
@@ -110,18 +109,11 @@ def closed_model(robot: Robot, *, free_slide: bool = False) -> ClosedModel:
         gaps = ()
     require_small(robot, gaps)
     poses = link_poses(urdf, home)
-    names = [loop.name for loop in robot.mechanism.loops]
-    ties = tuple(
-        Tie(
-            loop.name if names.count(loop.name) == 1 else f"{loop.name}_{index}",
-            a,
-            b,
-            loop.full_pose,
-            poses[b].actInv(poses[a]),
-        )
-        for index, (loop, (a, b)) in enumerate(zip(robot.mechanism.loops, ends, strict=True))
-    )
-    return ClosedModel(urdf, home, robot.joint_names, motor_inertia(robot, urdf), ties, gaps, _markers(robot), robot)
+    names, ties = [loop.name for loop in robot.mechanism.loops], []
+    for index, (loop, (a, b)) in enumerate(zip(robot.mechanism.loops, ends, strict=True)):
+        name = loop.name if names.count(loop.name) == 1 else f"{loop.name}_{index}"
+        ties.append(Tie(name, a, b, loop.full_pose, poses[b].actInv(poses[a])))
+    return ClosedModel(urdf, home, motor_inertia(robot, urdf), tuple(ties), gaps, _markers(robot), robot)
 
 
 def home_values(robot: Robot) -> dict[str, float]:
@@ -182,9 +174,8 @@ def link_of(urdf: UrdfText, frame: str) -> str:
 def _markers(robot: Robot) -> tuple[Marker, ...]:
     mechanism, description = robot.mechanism, robot.description
     places = [("measurement_frame", description.base.frame, mechanism.targets[0].a)]
-    places += [
-        (f"target_{target.name}", description.targets[target.name].frame, target.b) for target in mechanism.targets
-    ]
+    for target in mechanism.targets:
+        places.append((f"target_{target.name}", description.targets[target.name].frame, target.b))
     return tuple(
         Marker(name, link_of(robot.urdf, frame), mechanism.model.jointPlacements[index].copy())
         for name, frame, index in places
@@ -200,11 +191,11 @@ def _with_free_joints(
     for index, (a, b) in enumerate(ends):
         relative = poses[a].actInv(poses[b])
         parent = a
-        for direction, slides in free_joints(robot, index):
-            name = f"{a}_to_{b}_free_{direction}"
-            moved = relative.translation if slides else pin.log3(relative.rotation)
+        for direction in free_joints(robot, index):
+            name, turns = f"{a}_to_{b}_free_{direction}", direction in ANGLE_COMPONENTS
+            moved = pin.log3(relative.rotation) if turns else relative.translation
             new_home[name] = float(moved["xyz".index(direction[-1])])
-            parts.append(_free_joint(name, parent, direction[-1], slides))
+            parts.append(_free_joint(name, parent, direction[-1], turns))
             parent = f"{name}_link"
         new_ends.append((parent, b))
     if not parts:
@@ -213,9 +204,9 @@ def _with_free_joints(
     return parse_urdf(with_inserted(urdf, text, at=urdf.end), urdf.path), new_ends, new_home
 
 
-def _free_joint(name: str, parent: str, axis: str, slides: bool) -> str:
-    kind = "prismatic" if slides else "continuous"
-    limit = f'lower="-{_SLIDE_LIMIT}" upper="{_SLIDE_LIMIT}" ' if slides else ""
+def _free_joint(name: str, parent: str, axis: str, turns: bool) -> str:
+    kind = "continuous" if turns else "prismatic"
+    limit = "" if turns else f'lower="-{_SLIDE_LIMIT}" upper="{_SLIDE_LIMIT}" '
     vector = " ".join("1" if axis == other else "0" for other in "xyz")
     child = quote_attribute(f"{name}_link")
     moments = " ".join(f'i{a}{b}="{_FREE_INERTIA if a == b else 0}"' for a, b in ("xx", "xy", "xz", "yy", "yz", "zz"))

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pinocchio as pin
-import yaml
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
-from calib.core.base.units import DISPLAY_UNIT, in_unit, millimetres, quantity_text
+from calib.core.base.units import DISPLAY_UNIT, in_unit, millimetres
 from calib.core.base.words import listing
 from calib.core.calibrating.file_robots import with_zeros
 from calib.core.data.in_memory import as_measurements
@@ -35,8 +34,8 @@ from calib.core.robots.robot_files import without_terms
 from calib.core.robots.urdf.writing import number_attribute
 from calib.core.rows.registration import register
 from calib.exporting.dh_tables import dh_table, format_dh, table_poses
-from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
-from calib.exporting.toolbox import ExactDumper
+from calib.exporting.serial_chain import SerialChain, error_left, error_text, judging_poses, rms_text, serial_chain
+from calib.exporting.toolbox import yaml_with_comments
 from calib.shared.denavit_hartenberg import Convention, DhRow, Kind
 from calib.shared.ur_calibration import JOINTS, KEYS, LINKS
 
@@ -45,14 +44,7 @@ _NOTHING = 1e-12  # smaller offsets are zero [m or rad]
 _FITTED = 0.25  # part of the poses from which offsets are found; the others give their error
 
 
-@dataclass(frozen=True)
-class ControllerFile(FormatFile):
-    """A file for a controller, and the error that remains with it."""
-
-    remainder: Remainder | None
-
-
-def dh_file(robot: Robot, convention: Convention, provenance: Sequence[str] = ()) -> ControllerFile:
+def dh_file(robot: Robot, convention: Convention, provenance: Sequence[str] = ()) -> FormatFile:
     """Return the Denavit-Hartenberg table of a robot's chain as CSV.
 
     Raises:
@@ -63,9 +55,13 @@ def dh_file(robot: Robot, convention: Convention, provenance: Sequence[str] = ()
     before = [pin.SE3.Identity(), *turns]
     after = [*turns, pin.SE3.Identity()]
     links = [a.inverse() * link * b for a, link, b in zip(before, chain.links, after, strict=True)]
-    table = dh_table(links, [_dh_row(robot, joint.name) for joint in chain.joints], convention)
-    left = remainder(robot, chain, partial(table_poses, table))
-    statement = f"{_chain_text(robot, chain)}: {left.text()}"
+    kinds: list[Kind] = ["prismatic" if joint.type == "prismatic" else "revolute" for joint in chain.joints]
+    joints = [
+        DhRow(joint.name, kind, lower=joint.lower, upper=joint.upper)
+        for joint, kind in zip(chain.joints, kinds, strict=True)
+    ]
+    table = dh_table(links, joints, convention)
+    statement = f"{_chain_text(robot, chain)}: {error_left(robot, chain, partial(table_poses, table))}"
     along, across = "Rot z(theta) Trans z(d)", "Trans x(a) Rot x(alpha) Rot y(beta)"
     product = f"{along} {across}" if convention == "standard" else f"{across} {along}"
     lines = [
@@ -75,19 +71,13 @@ def dh_file(robot: Robot, convention: Convention, provenance: Sequence[str] = ()
     hayati = "beta is Hayati's angle between nearly parallel axes; a controller without it cannot hold the table"
     lines += [hayati] if any(row.beta for row in table.rows) else []
     lines += [statement, _tool_text(chain), *provenance_lines(robot), *provenance]
-    return ControllerFile(format_dh(table, lines).encode(), statement, left)
+    return FormatFile(format_dh(table, lines).encode(), statement)
 
 
 def _z_to(axis: Sequence[float]) -> pin.SE3:
     """The shortest rotation that takes z to a unit axis."""
     quaternion = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(axis))
     return pin.SE3(quaternion.toRotationMatrix(), np.zeros(3))
-
-
-def _dh_row(robot: Robot, name: str) -> DhRow:
-    joint = next(joint for joint in robot.urdf.joints if joint.name == name)
-    kind: Kind = "prismatic" if joint.type == "prismatic" else "revolute"
-    return DhRow(name, kind, lower=joint.lower, upper=joint.upper)
 
 
 def _chain_text(robot: Robot, chain: SerialChain) -> str:
@@ -108,7 +98,7 @@ def _tool_text(chain: SerialChain) -> str:
     return f"the target is at {xyz} mm in {chain.tip}; it is not in this file"
 
 
-def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
+def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> FormatFile:
     """Return the kinematics YAML of `ur_description`, Universal Robots' ROS description.
 
     The file has the six joint origins; the first is in `base_link_inertia`, or in the link under the shoulder.
@@ -128,8 +118,8 @@ def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     shift = np.array([0.0, 0.0, float(calibrated_tail.translation[2] - tail.translation[2])])
     last = chain.links[-2] * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, theta), shift)
     origins = [mount.inverse() * chain.links[0], *chain.links[1:-2], last]
-    left = remainder(robot, chain, _product([mount * origins[0], *origins[1:], tail]))
-    statement = f"holds the six joint origins, nothing behind wrist_3{_terms_text(robot)}: {left.text()}"
+    left = error_left(robot, chain, _product([mount * origins[0], *origins[1:], tail]))
+    statement = f"holds the six joint origins, nothing behind wrist_3{_terms_text(robot)}: {left}"
     lines = [
         "calib: kinematics for ur_description (argument kinematics_params of ur.urdf.xacro)",
         statement,
@@ -141,8 +131,7 @@ def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     content: dict[str, object] = {
         name: dict(zip(KEYS, _xyz_rpy(origin), strict=True)) for name, origin in zip(LINKS, origins, strict=True)
     }
-    text = yaml.dump({"kinematics": {**content, "hash": "measured_by_calib"}}, Dumper=ExactDumper, sort_keys=False)
-    return ControllerFile(("".join(f"# {line}\n" for line in lines) + text).encode(), statement, left)
+    return FormatFile(yaml_with_comments(lines, {"kinematics": {**content, "hash": "measured_by_calib"}}), statement)
 
 
 def _xyz_rpy(origin: pin.SE3) -> list[float]:
@@ -194,7 +183,7 @@ def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
     return forward
 
 
-def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
+def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> FormatFile:
     """Return a sign and a zero correction for each joint with a motor, and the error that remains with them.
 
     For a fit, they reproduce its measurements best; otherwise they bring the nominal model nearest to the robot.
@@ -203,12 +192,10 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     anew = ", base and target placed anew" if placed else ""
     if file_robot is None:
         q, where = judging_poses(robot)
-        signs, offsets, *errors = _joint_zeros(robot, q)
-        left, before = (Remainder.from_distances(distances, where) for distances in errors)
-        reached = f"{left.text()}; the nominal model without them has {quantity_text(before.rms, 'mm', '.4g')} RMS"
+        signs, offsets, errors, before = _joint_zeros(robot, q)
+        reached = f"{error_text(errors, where)}; the nominal model without them has {rms_text(before)} RMS"
     else:
-        left, reached = None, error_comparison(robot, Holds.ZEROS)
-        signs, offsets = file_robot.signs, file_robot.offsets
+        signs, offsets, reached = file_robot.signs, file_robot.offsets, error_comparison(robot, Holds.ZEROS)
     statement = f"holds one zero and a sign for each joint{anew}: {reached}"
     lines = [
         f"calib: joint zeros of {robot.name}: a joint is at sign * q + offset where the controller says q",
@@ -223,10 +210,10 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
         ("offset", [in_unit(float(value), unit) for value, unit in zip(offsets, units, strict=True)]),
         ("unit", units),
     ]
-    return ControllerFile(format_table(columns, lines).encode(), statement, left)
+    return FormatFile(format_table(columns, lines).encode(), statement)
 
 
-def xacro_origins(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
+def xacro_origins(robot: Robot, provenance: Sequence[str] = ()) -> FormatFile:
     """Return a xacro file with properties `JOINT_xyz` and `JOINT_rpy` for every joint of the URDF.
 
     Raises:
@@ -240,8 +227,8 @@ def xacro_origins(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
                 f"{robot.urdf.path}: joints '{owner[name]}' and '{joint.name}' would both be xacro properties"
                 f" {name}_xyz; rename one"
             )
-        same = robot.mechanism.placement(joint.name) == robot.nominal.placement(joint.name)
         placement = robot.mechanism.placement(joint.name)
+        same = placement == robot.nominal.placement(joint.name)
         xyz, rpy = (joint.xyz, joint.rpy) if same else (placement.translation, pin.rpy.matrixToRpy(placement.rotation))
         lines.append(f'  <xacro:property name="{name}_xyz" value="{number_attribute(xyz)}"/>')
         lines.append(f'  <xacro:property name="{name}_rpy" value="{number_attribute(rpy)}"/>')
@@ -249,7 +236,7 @@ def xacro_origins(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     head = comment(["calib: joint origins for a xacro to include", statement, *provenance_lines(robot), *provenance])
     first = '<?xml version="1.0"?>\n<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
     text = "\n".join([first, head, *lines, "</robot>"])
-    return ControllerFile(f"{text}\n".encode("ascii"), statement, None)
+    return FormatFile(f"{text}\n".encode("ascii"), statement)
 
 
 def _joint_zeros(robot: Robot, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

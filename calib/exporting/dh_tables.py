@@ -73,10 +73,10 @@ def table_poses(table: DhTable, q: FloatArray) -> FloatArray:
     poses = np.tile(np.eye(4), (len(q), 1, 1))
     columns = iter(q.T)
     for row in table.rows:
-        along = np.tile(row.motion_along_z.homogeneous, (len(q), 1, 1))
+        along = np.tile(z_transform(row.theta, row.d).homogeneous, (len(q), 1, 1))
         if row.kind != "fixed":
             along = along @ _motions(row.kind, row.sign * next(columns))
-        across = row.motion_along_x.homogeneous
+        across = x_transform(row.a, row.alpha, row.beta).homogeneous
         poses = poses @ along @ across if table.convention == "standard" else poses @ across @ along
     return poses
 

@@ -34,7 +34,7 @@ def drake_bytes(model: ClosedModel, provenance: Sequence[str] = ()) -> bytes:
     urdf = model.urdf
     entries = element_tree(urdf.source).iterfind("transmission")
     moved = {joint.get("name") for entry in entries for joint in entry.iterfind("joint")}
-    motors = zip(model.actuated, model.inertia, strict=True)
+    motors = zip(model.robot.joint_names, model.inertia, strict=True)
     lines += [_transmission(name, inertia) for name, inertia in motors if name not in moved]
     text = "\n" + "\n".join(lines) + "\n"
     closed = parse_urdf(with_inserted(urdf, text, at=urdf.end), urdf.path)

@@ -13,8 +13,6 @@ from calib.core.robots.robot import Robot
 
 LANGUAGES = ("numpy", "c", "jax", "torch", "casadi")
 """C, and libraries of Python."""
-COMMENTS = {"c": "//"}
-"""Beginning of a comment in languages other than Python."""
 
 
 def function_file(robot: Robot, language: str, lines: Sequence[str]) -> bytes:
@@ -67,11 +65,8 @@ def _is_ur(robot: Robot) -> bool:
     return _is_chain(robot) and bool(import_module(_WRITERS).has_ur_kinematics(robot))
 
 
-def _has_functions(robot: Robot) -> bool:
-    return not why_none(robot)
-
-
 _origins = partial(Format, holds=Holds.ORIGINS)
+_function = partial(Format, holds=Holds.EVERYTHING, fits=lambda robot: not why_none(robot))
 FORMATS = (
     *(_origins(name) for name in ("urdf", "mjcf", "drake", "toolbox")),
     _origins("dh", fits=_is_chain, write=_controller("dh_file", "standard")),
@@ -82,6 +77,6 @@ FORMATS = (
 )
 MORE_FORMATS = (
     Format("joint-tables", Holds.TABLES),
-    *(Format(name, Holds.EVERYTHING, _has_functions, comment=COMMENTS.get(name, "")) for name in LANGUAGES),
+    *(_function(name, comment={"c": "//"}.get(name, "")) for name in LANGUAGES),
 )
 """The formats that hold joint terms."""

@@ -19,7 +19,7 @@ from calib.exporting.drake import drake_bytes
 from calib.exporting.file_formats import LANGUAGES, function_file
 from calib.exporting.gap import Gap, loop_gaps
 from calib.exporting.joint_tables import joint_table_files, lost_by_tables, require_own_terms
-from calib.exporting.mjcf import mjcf
+from calib.exporting.mjcf import Mjcf
 from calib.exporting.toolbox import toolbox_yaml
 
 _WITH_URDF = ("urdf", "drake", "toolbox")
@@ -155,7 +155,7 @@ def _contents(
     if file_format in LANGUAGES:
         return {path: function_file(robot, file_format, provenance or ())}
     if file_format == "mjcf":
-        written = mjcf(closed_model(robot, free_slide=free_slide), path, provenance or ())
+        written = Mjcf(closed_model(robot, free_slide=free_slide), path, provenance or ())
         for text in written.notes:
             note(text)
         if written.meshes:

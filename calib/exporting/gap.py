@@ -19,14 +19,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, Component
 from calib.core.base.units import ERROR_UNIT, Dimension, in_unit, quantity_text
 from calib.core.robots import kinematics
-from calib.core.robots.configurations import joint_vector
 from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.robot import Robot
 
@@ -46,7 +44,7 @@ class Gap:
         at_home: Gap in the home configuration [m or rad].
         change: Largest difference from `at_home` over the poses [m or rad].
         n_poses: Number of assembled poses.
-        where: Region of these poses, for messages; empty for the caller's poses.
+        where: Region of these poses, for messages.
     """
 
     name: str
@@ -54,7 +52,7 @@ class Gap:
     at_home: float
     change: float
     n_poses: int
-    where: str = ""
+    where: str
 
     @property
     def dimension(self) -> Dimension:
@@ -105,16 +103,11 @@ def free_directions(robot: Robot, loop: int) -> tuple[Component, ...]:
     return tuple(COMPONENTS[row] for row in whole if row not in constrained)
 
 
-def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
-    """Return the gap of every closure in every direction that it leaves free, at poses (n, n_actuated) [m or rad].
-
-    Raises:
-        UnreachablePoseError: A pose cannot be assembled.
-    """
+def loop_gaps(robot: Robot) -> tuple[Gap, ...]:
+    """Return the gap of every closure in every direction that it leaves free, at poses near home."""
     if not any(free_directions(robot, loop) for loop in range(len(robot.mechanism.loops))):
         return ()
-    poses = poses_near_home(robot) if q is None else joint_vector(robot, q)
-    where = f" within {100 * _REACH:.0f} % of the joint ranges from home" if q is None else ""
+    poses, where = poses_near_home(robot), f" within {100 * _REACH:.0f} % of the joint ranges from home"
     configurations = robot.assemble(np.vstack([robot.home, poses]))
     joints = robot.mechanism.all_joints(configurations.actuated, configurations.passive)
     gaps = []
@@ -131,7 +124,7 @@ def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
 def require_small(robot: Robot, gaps: tuple[Gap, ...]) -> None:
     """Raise `InputError` if a 3D constraint would hold a motion of the mechanism."""
     for gap in gaps:
-        limit = LARGEST_CHANGE * (1.0 if gap.direction in ANGLE_COMPONENTS else robot.mechanism.length)
+        limit = LARGEST_CHANGE * (1.0 if gap.dimension == "angle" else robot.mechanism.length)
         if gap.change > limit:
             raise InputError(
                 f"{gap.text()}, more than {in_unit(limit, ERROR_UNIT[gap.dimension]):.3g}: the mechanism moves in this"
@@ -139,8 +132,8 @@ def require_small(robot: Robot, gaps: tuple[Gap, ...]) -> None:
             )
 
 
-def free_joints(robot: Robot, loop: int) -> tuple[tuple[Component, bool], ...]:
-    """Return a joint for each free direction of a closure, (direction, whether it is a slide), slides first.
+def free_joints(robot: Robot, loop: int) -> tuple[Component, ...]:
+    """Return the direction of a joint for each free direction of a closure, those of slides first.
 
     Raises:
         InputError: No chain of joints has exactly these motions.
@@ -157,4 +150,4 @@ def free_joints(robot: Robot, loop: int) -> tuple[tuple[Component, bool], ...]:
                 " the motions of one joint, and other programs close loops only with joints; constrain other"
                 " directions in closed_loop_axes, or split the loop into two closures"
             )
-    return tuple((direction, True) for direction in slides) + tuple((direction, False) for direction in hinges)
+    return (*slides, *hinges)

@@ -28,7 +28,7 @@ from calib.core.robots.accuracy_of_files import Holds
 from calib.core.robots.joint_errors import actual_joints, columns_of_terms
 from calib.core.robots.robot import Robot
 from calib.core.robots.robot_files import without_terms
-from calib.core.robots.terms.term import Context, JointTerm
+from calib.core.robots.terms.term import Context
 
 TOLERANCE = 4e-7
 """Largest error of the interpolation [rad or m]."""
@@ -79,8 +79,15 @@ def require_own_terms(robot: Robot) -> None:
 
 def lost_by_tables(robot: Robot) -> list[str]:
     """Return the errors of a robot that no table can hold, with their sizes, one line each."""
-    left = ((term, values) for term, values in robot.term_values() if not Holds.TABLES.keeps(term))
-    return [_remark_on_rest(term, values, robot.mechanism.dimensions[term.joint]) for term, values in left]
+    lines = []
+    for term, values in robot.term_values():
+        if not Holds.TABLES.keeps(term):
+            size = quantity_text(float(np.max(np.abs(values))), ERROR_UNIT[robot.mechanism.dimensions[term.joint]])
+            columns = [f"the column '{name}'" for name in term.reads()]
+            depends_on = listing([*(condition.words for condition in term.depends_on), *columns])
+            left = f"because it depends on {depends_on}: {f'{size} {term.per}'.rstrip()} remains"
+            lines.append(f"{term.joint}: {term.cause} is not in the table, {left}")
+    return lines
 
 
 def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
@@ -108,15 +115,6 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
     return JointTable(joint, dimension, commands, actual(commands))
 
 
-def _remark_on_rest(term: JointTerm, values: FloatArray, dimension: Dimension) -> str:
-    """A sentence on the part of a joint's error that is not in its table."""
-    size = quantity_text(float(np.max(np.abs(values))), ERROR_UNIT[dimension])
-    columns = [f"the column '{name}'" for name in term.reads()]
-    depends_on = listing([*(condition.words for condition in term.depends_on), *columns])
-    remainder = f"{size} {term.per}".rstrip()
-    return f"{term.joint}: {term.cause} is not in the table, because it depends on {depends_on}: {remainder} remains"
-
-
 def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, bytes]:
     """Return `joint_tables.csv`, and the URDF to use with it; `lines` are comments of each file.
 
@@ -125,12 +123,12 @@ def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, byte
     """
     tables = joint_tables(robot)
     header = [f"joint correction tables of {robot.name} ({robot.path}); linear between the rows", *lines]
-    columns: list[tuple[str, Sequence[object]]] = [
-        ("joint", [table.joint for table in tables for _ in table.commands]),
-        ("unit", [_SI[table.dimension] for table in tables for _ in table.commands]),
-        ("commanded", [float(value) for table in tables for value in table.commands]),
-        ("actual", [float(value) for table in tables for value in table.actual]),
+    rows = [
+        (table.joint, _SI[table.dimension], *values)
+        for table in tables
+        for values in zip(table.commands.tolist(), table.actual.tolist(), strict=True)
     ]
+    columns = list(zip(("joint", "unit", "commanded", "actual"), zip(*rows, strict=True), strict=True))
     return {
         "joint_tables.csv": format_table(columns, header).encode(),
         "joint_tables.urdf": urdf_bytes(robot, ["joint origins that go with joint_tables.csv", *lines]),

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -45,37 +44,35 @@ _NO_MASS, _NO_INERTIA = 1e-9, 1e-12
 _TYPES = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
 
 
-@dataclass(frozen=True)
 class Mjcf:
-    """An MJCF file, the converted mesh files that it names, and remarks on shapes that cannot be drawn."""
+    """An MJCF file.
 
-    content: bytes
-    meshes: dict[Path, bytes]
-    notes: tuple[str, ...]
+    Args:
+        model: The robot.
+        path: The file; mesh files are named relative to its folder.
+        provenance: Lines of its comment.
 
-
-def mjcf(model: ClosedModel, path: Path | str = "robot.xml", provenance: Sequence[str] = ()) -> Mjcf:
-    """Return the MJCF file, and the meshes that had to be converted for it, named relative to the folder of `path`.
+    Attributes:
+        content: Its bytes.
+        meshes: Contents of the mesh files that had to be converted for it.
+        notes: Remarks on shapes that cannot be drawn.
 
     Raises:
         InputError: A link other than the root is named `world`, which MuJoCo reserves.
     """
-    writer = _Writer(model, Path(path))
-    content = writer.write(provenance)
-    return Mjcf(content, writer.shapes.converted, tuple(dict.fromkeys(writer.shapes.remarks)))
 
-
-class _Writer:
-    def __init__(self, model: ClosedModel, path: Path) -> None:
+    def __init__(self, model: ClosedModel, path: Path | str = "robot.xml", provenance: Sequence[str] = ()) -> None:
         self.model = model
         self.links = read_links(model.urdf)
         self.remarks: list[str] = []
-        self.shapes = MjcfShapes(model.robot.urdf.path, path)
+        self.shapes = MjcfShapes(model.robot.urdf.path, Path(path))
         self.children: dict[str, list[UrdfJoint]] = {link: [] for link in model.urdf.links}
         for joint in model.urdf.joints:
             self.children[joint.parent].append(joint)
+        self.content = self._write(provenance)
+        self.meshes, self.notes = self.shapes.converted, tuple(dict.fromkeys(self.shapes.remarks))
 
-    def write(self, provenance: Sequence[str]) -> bytes:
+    def _write(self, provenance: Sequence[str]) -> bytes:
         root = Element("mujoco", model=self.model.urdf.name or "robot")
         SubElement(root, "compiler", angle="radian", autolimits="true")
         SubElement(root, "option", timestep="0.001", integrator="implicitfast")
@@ -87,15 +84,9 @@ class _Writer:
         self._actuators(root)
         self._keyframe(root)
         ElementTree.indent(root)
-        header = comment(
-            [
-                "calib: a closed robot for MuJoCo, Pinocchio and Drake",
-                *provenance,
-                *provenance_lines(self.model.robot),
-                *tie_lines(self.model),
-                *dict.fromkeys(self.remarks + self.shapes.remarks),
-            ]
-        )
+        lines = [*provenance, *provenance_lines(self.model.robot), *tie_lines(self.model)]
+        lines += dict.fromkeys(self.remarks + self.shapes.remarks)
+        header = comment(["calib: a closed robot for MuJoCo, Pinocchio and Drake", *lines])
         body = ElementTree.tostring(root, encoding="utf-8")
         return b'<?xml version="1.0" encoding="utf-8"?>\n' + header.encode() + b"\n" + body + b"\n"
 
@@ -144,7 +135,8 @@ class _Writer:
     def _inertial(self, element: Element, name: str, link: Link, moving: bool) -> None:
         inertial = link.inertial
         if inertial is None or inertial.mass <= 0:
-            if moving and self._carried_mass(name) <= 0:
+            carried = (self.links[link].inertial for link in self._fixed_links(name) - {name})
+            if moving and sum(fixed.mass for fixed in carried if fixed) <= 0:
                 inertial = Inertial(_LEAST_MASS, np.zeros(3), _LEAST_INERTIA * np.eye(3))
                 self.remarks.append(f"link {name} moves and has no mass: {_LEAST_MASS:g} kg added for the simulator")
             elif link.visuals or link.collisions:
@@ -157,34 +149,25 @@ class _Writer:
                 f"link {name}: its moments of inertia are impossible; the nearest possible ones are taken"
             )
         xx, yy, zz = np.diag(possible)
-        SubElement(
-            element,
-            "inertial",
-            pos=number_attribute(inertial.centre),
-            mass=number_attribute([inertial.mass]),
-            fullinertia=number_attribute([xx, yy, zz, possible[0, 1], possible[0, 2], possible[1, 2]]),
-        )
-
-    def _carried_mass(self, name: str) -> float:
-        """Mass of the links fixed to a link [kg]."""
-        inertials = (self.links[link].inertial for link in self._fixed_links(name) - {name})
-        return sum(inertial.mass for inertial in inertials if inertial)
+        full = number_attribute([xx, yy, zz, possible[0, 1], possible[0, 2], possible[1, 2]])
+        place, mass = number_attribute(inertial.centre), number_attribute([inertial.mass])
+        SubElement(element, "inertial", pos=place, mass=mass, fullinertia=full)
 
     def _contact(self, root: Element) -> None:
         """Exclude contacts between links that a tie connects."""
-        if not any(link.collisions for link in self.links.values()) or not self.model.ties:
+        touching = {name for name, link in self.links.items() if link.collisions}
+        if not touching or not self.model.ties:
             return
         contact = SubElement(root, "contact")
         pairs = {
             tuple(sorted((link, other)))
             for tie in self.model.ties
-            for link in self._fixed_links(tie.a)
-            for other in self._fixed_links(tie.b)
+            for link in self._fixed_links(tie.a) & touching
+            for other in self._fixed_links(tie.b) & touching
             if link != other
         }
         for link, other in sorted(pairs):
-            if self.links[link].collisions and self.links[other].collisions:
-                SubElement(contact, "exclude", body1=self._body_name(link), body2=self._body_name(other))
+            SubElement(contact, "exclude", body1=self._body_name(link), body2=self._body_name(other))
 
     def _carrier(self, name: str) -> tuple[str, pin.SE3]:
         """The moving body that carries a link, and the link's pose in it (Pinocchio ties fixed bodies wrongly)."""
@@ -206,11 +189,8 @@ class _Writer:
         return {link for link in self.links if self._carrier(link)[0] == carrier}
 
     def _equality(self, root: Element) -> None:
-        followers = [
-            joint
-            for joint in self.model.urdf.joints
-            if joint.mimic and joint.type not in HELD_TYPES and joint.name not in self.model.actuated
-        ]
+        moving = (joint for joint in self.model.urdf.joints if joint.type not in HELD_TYPES)
+        followers = [joint for joint in moving if joint.mimic and joint.name not in self.model.robot.joint_names]
         if not self.model.ties and not followers:
             return
         equality = SubElement(root, "equality")
@@ -224,18 +204,12 @@ class _Writer:
         for joint in followers:
             assert joint.mimic is not None
             leader, factor, _ = joint.mimic  # no offset: MuJoCo counts both from their `ref`
-            SubElement(
-                equality,
-                "joint",
-                name=f"{joint.name}_mimics_{leader}",
-                joint1=joint.name,
-                joint2=leader,
-                polycoef=number_attribute([0.0, factor, 0.0, 0.0, 0.0]),
-            )
+            attributes = {"name": f"{joint.name}_mimics_{leader}", "joint1": joint.name, "joint2": leader}
+            SubElement(equality, "joint", attributes, polycoef=number_attribute([0.0, factor, 0.0, 0.0, 0.0]))
 
     def _actuators(self, root: Element) -> None:
         actuator = SubElement(root, "actuator")
-        for name, inertia in zip(self.model.actuated, self.model.inertia, strict=True):
+        for name, inertia in zip(self.model.robot.joint_names, self.model.inertia, strict=True):
             stiffness, damping = servo_gains(inertia)
             SubElement(actuator, "position", name=name, joint=name, kp=repr(stiffness), kv=repr(damping))
 
@@ -243,5 +217,5 @@ class _Writer:
         """Add the keyframe home, with the servos there; joints in MuJoCo's order."""
         joints = [element.attrib for element in root.iter("joint") if "type" in element.attrib]
         positions = number_attribute(self.model.home[joint["name"]] for joint in joints)
-        controls = number_attribute(self.model.home[name] for name in self.model.actuated)
+        controls = number_attribute(self.model.home[name] for name in self.model.robot.joint_names)
         SubElement(SubElement(root, "keyframe"), "key", name="home", qpos=positions, ctrl=controls)

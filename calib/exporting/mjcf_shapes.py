@@ -65,9 +65,8 @@ class MjcfShapes:
             length = float(np.linalg.norm(end))
             if length > 0:
                 where = {"fromto": number_attribute((0.0, 0.0, 0.0, *end)), "size": number_attribute([_ROD * length])}
-                SubElement(
-                    body, "geom", {"type": "capsule", **where, "rgba": number_attribute(_GREY), "mass": "0", **role}
-                )
+                look = {"rgba": number_attribute(_GREY), "mass": "0", **role}
+                SubElement(body, "geom", {"type": "capsule", **where, **look})
 
     def _geom(self, body: Element, shape: LinkShape, role: dict[str, str]) -> bool:
         """Add one shape; return whether it could be read."""
@@ -81,12 +80,8 @@ class MjcfShapes:
                 colour = {"rgba": number_attribute(shape.colour or own_colour)} if shape.colour or own_colour else {}
                 SubElement(body, "geom", {"type": "mesh", "mesh": self._mesh(file, shape.size), **colour, **common})
             return bool(parts)
-        if shape.kind == "box":
-            size = number_attribute(edge / 2 for edge in shape.size)
-        elif shape.kind == "cylinder":
-            size = number_attribute((shape.size[0], shape.size[1] / 2))
-        else:
-            size = number_attribute(shape.size)
+        halved = {"box": (0, 1, 2), "cylinder": (1,)}.get(shape.kind, ())  # MuJoCo takes half of edges and of lengths
+        size = number_attribute(value / 2 if k in halved else value for k, value in enumerate(shape.size))
         colour = {} if shape.colour is None else {"rgba": number_attribute(shape.colour)}
         SubElement(body, "geom", {"type": shape.kind, "size": size, **colour, **common})
         return True
@@ -113,10 +108,9 @@ class MjcfShapes:
 
         Other exceptions come from the readers of mesh files.
         """
-        stem = f"{path.stem}_{len(self._parts)}"
         parts = []
         for number, (colour, content) in enumerate(_obj_by_colour(path)):
-            file = self._beside / f"{stem}_{number}.obj"
+            file = self._beside / f"{path.stem}_{len(self._parts)}_{number}.obj"
             self.converted[file] = content
             parts.append((file, colour))
         if not parts:

@@ -90,38 +90,26 @@ def _joint_path(urdf: UrdfText, base: str, tip: str) -> list[UrdfJoint]:
     return way
 
 
-@dataclass(frozen=True)
-class Remainder:
-    """Errors of the robot in a format, compared with the robot.
+def rms_text(distances: FloatArray) -> str:
+    """Return the root mean square of distances (n, ...) [m], in mm."""
+    return quantity_text(float(np.sqrt(np.mean(distances**2))), "mm", ".4g")
 
-    Attributes:
-        rms, largest: Distance of the target [m].
-        angle: Largest angle between the tip's frames [rad]; NaN if only positions were compared.
-        n_poses: Number of poses.
+
+def error_text(distances: FloatArray, where: str, angle: float = np.nan) -> str:
+    """Return a clause on the errors of the robot in a format, compared with the robot.
+
+    Args:
+        distances: Distances of targets, (n_poses, ...) [m].
         where: Region of the poses, in words.
+        angle: Largest angle between the tip's frames [rad]; NaN if only positions were compared.
     """
-
-    rms: float
-    largest: float
-    angle: float
-    n_poses: int
-    where: str
-
-    @classmethod
-    def from_distances(cls, distances: FloatArray, where: str, angle: float = np.nan) -> Remainder:
-        """Return the errors from distances of targets (n_poses, ...) [m]."""
-        rms, largest = float(np.sqrt(np.mean(distances**2))), float(np.max(distances))
-        return cls(rms, largest, angle, len(distances), where)
-
-    def text(self) -> str:
-        """Return a clause on the errors, in mm and mrad."""
-        poses = f"in {self.n_poses} poses {self.where}"
-        if self.largest < _SAME_PLACE and not self.angle >= _SAME_PLACE:
-            angle = "" if np.isnan(self.angle) else f", angles within {self.angle:.1g} rad"
-            return f"held exactly: target within {self.largest:.1g} m{angle} {poses}"
-        angle = "" if np.isnan(self.angle) else f", {quantity_text(self.angle, 'mrad', '.4g')} at most"
-        rms, largest = (quantity_text(length, "mm", ".4g") for length in (self.rms, self.largest))
-        return f"error left at the target: {rms} RMS, {largest} at most{angle} {poses}"
+    largest, poses = float(np.max(distances)), f"in {len(distances)} poses {where}"
+    if largest < _SAME_PLACE and not angle >= _SAME_PLACE:
+        angles = "" if np.isnan(angle) else f", angles within {angle:.1g} rad"
+        return f"held exactly: target within {largest:.1g} m{angles} {poses}"
+    angles = "" if np.isnan(angle) else f", {quantity_text(angle, 'mrad', '.4g')} at most"
+    most = quantity_text(largest, "mm", ".4g")
+    return f"error left at the target: {rms_text(distances)} RMS, {most} at most{angles} {poses}"
 
 
 def judging_poses(robot: Robot) -> tuple[FloatArray, str]:
@@ -138,8 +126,8 @@ def judging_poses(robot: Robot) -> tuple[FloatArray, str]:
     ), "over the joint ranges"
 
 
-def remainder(robot: Robot, chain: SerialChain, forward: Callable[[FloatArray], FloatArray]) -> Remainder:
-    """Return the errors of a format, compared with the robot.
+def error_left(robot: Robot, chain: SerialChain, forward: Callable[[FloatArray], FloatArray]) -> str:
+    """Return a clause on the errors of a format, compared with the robot.
 
     `forward` gives the format's poses of the tip in the base, (n, 4, 4) [m], from values of the chain's joints, (n,
     n_joints) [m or rad].
@@ -153,4 +141,4 @@ def remainder(robot: Robot, chain: SerialChain, forward: Callable[[FloatArray], 
     distance = np.linalg.norm(((T_format - T_robot) @ point)[:, :3], axis=1)
     turned = np.linalg.norm(T_format[:, :3, :3] - T_robot[:, :3, :3], axis=(1, 2)) / np.sqrt(8)  # sin(angle / 2)
     angle = float(np.max(2 * np.arcsin(np.minimum(turned, 1.0))))
-    return Remainder.from_distances(distance, where, angle)
+    return error_text(distance, where, angle)

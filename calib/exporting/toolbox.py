@@ -33,16 +33,12 @@ def calibrated_description(robot: Robot, urdf_name: str) -> Description:
     base = mechanism.targets[0].a
     if _has_moved(robot, base):
         placement = mechanism.model.jointPlacements[base].inverse()  # the description has the link's pose in the base
-        rpy = tuple(float(angle) for angle in pin.rpy.matrixToRpy(placement.rotation))
-        changes["base"] = description.base.model_copy(
-            update={"xyz": tuple(float(value) for value in placement.translation), "rpy": rpy}
-        )
-    targets = {}
+        xyz, rpy = (tuple(part.tolist()) for part in (placement.translation, pin.rpy.matrixToRpy(placement.rotation)))
+        changes["base"] = description.base.model_copy(update={"xyz": xyz, "rpy": rpy})
+    targets = {target.name: description.targets[target.name] for target in mechanism.targets}
     for target in mechanism.targets:
-        targets[target.name] = description.targets[target.name]
         if _has_moved(robot, target.b):
-            point = mechanism.model.jointPlacements[target.b].translation
-            place = tuple(float(value) for value in point)
+            place = tuple(mechanism.model.jointPlacements[target.b].translation.tolist())
             targets[target.name] = targets[target.name].model_copy(update={"xyz": place})
     changes["targets"] = targets
     return description.model_copy(update=changes)
@@ -61,11 +57,7 @@ def toolbox_yaml(robot: Robot, urdf_name: str, provenance: Sequence[str] = ()) -
     content = {key: content[key] for key in Description.model_fields if key in content}
     for key in ("closed_loop", "type"):  # the toolbox requires both keys
         content.setdefault(key, [])
-    header = "".join(f"# {line}\n" for line in lines)
-    text = yaml.dump(
-        content, Dumper=ExactDumper, sort_keys=False, allow_unicode=True, width=10**6, default_flow_style=None
-    )
-    return (header + text).encode("utf-8")
+    return yaml_with_comments(lines, content, allow_unicode=True, width=10**6, default_flow_style=None)
 
 
 def _has_moved(robot: Robot, index: int) -> bool:
@@ -73,7 +65,7 @@ def _has_moved(robot: Robot, index: int) -> bool:
     return not np.array_equal(before.homogeneous, after.homogeneous)
 
 
-class ExactDumper(yaml.SafeDumper):
+class _ExactDumper(yaml.SafeDumper):
     """YAML with floats that read back exactly, also in programs that require a point before the exponent."""
 
 
@@ -84,4 +76,10 @@ def _float(dumper: yaml.SafeDumper, value: float) -> yaml.ScalarNode:
     return dumper.represent_scalar("tag:yaml.org,2002:float", text)
 
 
-ExactDumper.add_representer(float, _float)
+_ExactDumper.add_representer(float, _float)
+
+
+def yaml_with_comments(lines: Sequence[str], content: object, **style: Any) -> bytes:
+    """Return content as YAML whose floats read back exactly, after lines of comment."""
+    text = yaml.dump(content, Dumper=_ExactDumper, sort_keys=False, **style)
+    return ("".join(f"# {line}\n" for line in lines) + text).encode()

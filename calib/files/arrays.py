@@ -22,16 +22,7 @@ from calib.core.base.files import read_bytes
 from calib.core.data.other_formats import SomeFile
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_UNREADABLE = (
-    ValueError,
-    OSError,
-    EOFError,
-    TypeError,
-    NotImplementedError,
-    RecursionError,
-    zipfile.BadZipFile,
-    csv.Error,
-)
+_UNREADABLE = (ValueError, OSError, EOFError, TypeError, RuntimeError, zipfile.BadZipFile, csv.Error)
 
 
 def numpy_columns(file: SomeFile) -> dict[str, Sequence[object]]:

@@ -30,23 +30,22 @@ from __future__ import annotations
 import itertools
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Comment, Element, SubElement
 
 import numpy as np
 import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import UrdfError, require_package
-from calib.core.base.words import listing
 from calib.core.numerics import linalg
+from calib.core.robots.mechanism import perpendicular_axes
 from calib.core.robots.urdf.text import ForeignLoop, ForeignRobot
 from calib.core.robots.urdf.writing import number_attribute
-from calib.files.urdf_elements import document, inertial_element, joint_element, perpendicular_axes, shape_element
+from calib.files.urdf_elements import NewUrdf
 
 _DRAWN = 12  # configurations for the directions of a loop
 _SPREAD = 0.3  # standard deviation from the file's configuration [m, rad]
@@ -67,7 +66,6 @@ class _Motion(ReadOnlyArrays):
         before, after: Shift from the body's frame to the joint's place before the motion, and back after it, (3,) [m].
         value: Value in the file [m or rad].
         limits: Lowest and highest value, or None.
-        number: Index in the model; None for a part of a ball joint.
     """
 
     name: str
@@ -77,7 +75,6 @@ class _Motion(ReadOnlyArrays):
     after: FloatArray
     value: float = 0.0
     limits: tuple[float, float] | None = None
-    number: int | None = None
 
 
 def read_mjcf(path: str, *_: object) -> tuple[bytes, ForeignRobot]:
@@ -102,44 +99,40 @@ def read_mjcf(path: str, *_: object) -> tuple[bytes, ForeignRobot]:
 class _MjcfReader:
     def __init__(self, mujoco: Any, model: Any, path: str, meshes: str) -> None:
         self.mujoco, self.model, self.path, self.meshes = mujoco, model, path, meshes
-        self.root = Element("robot", name=_text(model.names) or Path(path).stem)
-        self.links: dict[str, Element] = {}
-        self.joints: dict[int, Element] = {}  # hinges and slides, by number in the model
+        self.urdf = NewUrdf(_text(model.names) or Path(path).stem)
+        self.joints: dict[str, Element] = {}  # by name
         self.link_of: dict[int, str] = {}  # link of each body
         self.home: dict[str, float] = {}
         self.remarks: list[str] = []
-        self.unread: dict[str, None] = {}  # links with collision shapes that a URDF cannot hold
 
     def read(self) -> tuple[bytes, ForeignRobot]:
         self._link("world", 0)
         for body in range(1, self.model.nbody):
             self._body(body)
         for site in range(self.model.nsite):
-            name = self._new(self._name("SITE", site), self.links)
             carrier = self.link_of[int(self.model.site_bodyid[site])]
-            self._add_fixed_joint(carrier, name, _se3(self.model.site_pos[site], self.model.site_quat[site]))
+            place = _se3(self.model.site_pos[site], self.model.site_quat[site])
+            self.urdf.fix(carrier, self._new(self._name("SITE", site)), place)
         loops = tuple(self._equalities())
-        if self.unread:
-            self.remarks.append(unread_shapes(list(self.unread)))
-        remark = "".join(f"; {remark}" for remark in self.remarks).replace("--", "- -")
-        self.root.insert(0, ElementTree.Comment(f" from MJCF: {Path(self.path).name.replace('--', '- -')}{remark} "))
-        source = document(self.root)
+        remarks = (*self.remarks, *self.urdf.remarks)
+        comment = "; ".join([f" from MJCF: {Path(self.path).name}", *remarks]).replace("--", "- -")
+        self.urdf.root.insert(0, Comment(f"{comment} "))
         motors = tuple(dict.fromkeys(self._motors()))
         stiff = [self._name("JOINT", int(number)) for number in np.flatnonzero(self.model.jnt_stiffness > 0)]
         springs = tuple(name for name in stiff if name in self.home and name not in motors)
-        return source, ForeignRobot(motors, loops, springs, self.home, tuple(self.remarks))
+        return self.urdf.document(), ForeignRobot(motors, loops, springs, self.home, remarks)
 
     def _name(self, kind: str, number: int) -> str:
         of = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}")
         return self.mujoco.mj_id2name(self.model, of, number) or f"{kind.lower()}_{number}"
 
-    def _new(self, name: str, taken: Iterable[str]) -> str:
-        while name in taken:
+    def _new(self, name: str) -> str:
+        while name in self.urdf.links:
             name += "_"
         return name
 
     def _body(self, body: int) -> None:
-        model, name = self.model, self._new(self._name("BODY", body), self.links)
+        model, name = self.model, self._new(self._name("BODY", body))
         parent = self.link_of[int(model.body_parentid[body])]
         place = _se3(model.body_pos[body], model.body_quat[body])
         first = int(model.body_jntadr[body])
@@ -147,12 +140,16 @@ class _MjcfReader:
         motions = [motion for joint in joints for motion in self._motions(joint)]
         for count, motion in enumerate(motions, start=1):
             ends = count == len(motions) and not np.any(motion.after)
-            child = name if ends else self._new(f"{name}_{motion.name}", self.links)
+            child = name if ends else self._new(f"{name}_{motion.name}")
             self._moving(motion, parent, child, place * pin.SE3(np.eye(3), motion.before))
-            self._link(child, body if ends else None)
+            if ends:
+                self._link(child, body)
+            else:
+                self.urdf.add_link(child)
             parent, place = child, pin.SE3(np.eye(3), -motion.after)
-        if name not in self.links:
-            self._add_fixed_joint(parent, name, place, body)
+        if name not in self.urdf.links:
+            self.urdf.add_joint(f"{name}_fixed", "fixed", (parent, name), place)
+            self._link(name, body)
 
     def _motions(self, joint: int) -> Iterator[_Motion]:
         """Elementary motions of a joint; none for a free joint."""
@@ -186,7 +183,7 @@ class _MjcfReader:
                 )
             value = float(model.qpos0[model.jnt_qposadr[joint]])
             axis = np.array(model.jnt_axis[joint])
-            yield _Motion(name, moves, axis, about, about, value, limits if limited else None, joint)
+            yield _Motion(name, moves, axis, about, about, value, limits if limited else None)
 
     def _rod(self, body: int, centre: FloatArray) -> FloatArray | None:
         """Direction in a body from its ball joint to the only point that ties it to others, (3,); None: no rod."""
@@ -210,35 +207,25 @@ class _MjcfReader:
             place = place * pin.SE3(np.eye(3), -motion.value * motion.axis)
         elif motion.value:
             place = place * pin.SE3(pin.AngleAxis(-motion.value, motion.axis).matrix(), np.zeros(3))
-        element = joint_element(self.root, motion.name, motion.kind, (parent, child), place, motion.axis, motion.limits)
-        if motion.number is not None:
-            self.joints[motion.number] = element
+        ends, name = (parent, child), motion.name
+        self.joints[name] = self.urdf.add_joint(name, motion.kind, ends, place, motion.axis, motion.limits)
         self.home[motion.name] = motion.value
 
-    def _add_fixed_joint(self, parent: str, child: str, origin: pin.SE3, body: int | None = None) -> None:
-        joint_element(self.root, f"{child}_fixed", "fixed", (parent, child), origin)
-        self._link(child, body)
-
-    def _link(self, name: str, body: int | None) -> None:
-        """Add a link; with mass and shapes if it is a body's."""
-        self.links[name] = link = SubElement(self.root, "link", name=name)
-        if body is None:
-            return
+    def _link(self, name: str, body: int) -> None:
+        """Add the link of a body, with its mass and shapes."""
+        self.urdf.add_link(name)
         model, self.link_of[body] = self.model, name
         if body and model.body_mass[body] > 0:
             diagonal = dict(zip(("ixx", "iyy", "izz"), map(repr, map(float, model.body_inertia[body])), strict=True))
             place = _se3(model.body_ipos[body], model.body_iquat[body])
-            inertial_element(link, place, repr(float(model.body_mass[body])), diagonal)
+            self.urdf.add_inertia(name, place, repr(float(model.body_mass[body])), diagonal)
         first = int(model.body_geomadr[body])
         for geom in range(first, first + int(model.body_geomnum[body])):
             shapes = list(self._shapes(geom)) if body else []
-            if shapes and model.geom_group[geom] < _SHOWN_GROUPS:
-                shape_element(link, "visual", *shapes[0])
+            if model.geom_group[geom] < _SHOWN_GROUPS:
+                self.urdf.add_shape(name, "visual", shapes[:1])
             if model.geom_contype[geom] or model.geom_conaffinity[geom]:
-                for shape in shapes:
-                    shape_element(link, "collision", *shape)
-                if not shapes:
-                    self.unread.setdefault(name)
+                self.urdf.add_shape(name, "collision", shapes)
 
     def _shapes(self, geom: int) -> Iterator[tuple[pin.SE3, Element]]:
         """URDF's shapes of a shape, with their places: of a capsule the cylinder, then its ends."""
@@ -265,10 +252,10 @@ class _MjcfReader:
     def _motors(self) -> Iterator[str]:
         types = self.mujoco.mjtTrn
         for number in range(self.model.nu):
-            joint = int(self.model.actuator_trnid[number, 0])
             of_joint = int(self.model.actuator_trntype[number]) in (types.mjTRN_JOINT, types.mjTRN_JOINTINPARENT)
-            if of_joint and joint in self.joints:
-                yield self.joints[joint].attrib["name"]
+            name = self._name("JOINT", int(self.model.actuator_trnid[number, 0])) if of_joint else ""
+            if name in self.joints:
+                yield name
 
     def _equalities(self) -> Iterator[ForeignLoop]:
         model, types = self.model, self.mujoco.mjtEq
@@ -285,14 +272,13 @@ class _MjcfReader:
 
     def _follower(self, number: int, name: str) -> None:
         model = self.model
-        follower, leader = (int(ids[number]) for ids in (model.eq_obj1id, model.eq_obj2id))
+        follower, led_by = (self._name("JOINT", int(ids[number])) for ids in (model.eq_obj1id, model.eq_obj2id))
         polynomial = model.eq_data[number]
-        if leader < 0 or follower not in self.joints or leader not in self.joints or np.any(polynomial[2:5]):
+        if not {follower, led_by} <= self.joints.keys() or np.any(polynomial[2:5]):
             raise UrdfError(f"{self.path}: equality '{name}' is not linear, or not between two joints; {_NOT_HELD}")
-        element, led_by = self.joints[follower], self.joints[leader].attrib["name"]
         factor = float(polynomial[1])
-        offset = self.home[element.attrib["name"]] + float(polynomial[0]) - factor * self.home[led_by]
-        SubElement(element, "mimic", joint=led_by, multiplier=repr(factor), offset=repr(offset))
+        offset = self.home[follower] + float(polynomial[0]) - factor * self.home[led_by]
+        SubElement(self.joints[follower], "mimic", joint=led_by, multiplier=repr(factor), offset=repr(offset))
 
     def _loop(self, number: int, name: str, *, whole: bool) -> ForeignLoop:
         bodies, places = self._bodies_of_tie(number)
@@ -301,12 +287,8 @@ class _MjcfReader:
             turn, count = self._loop_axes(bodies, [place.translation for place in places])
             axes = axes[:count]
             places = [pin.SE3(turn, place.translation) for place in places]  # the second's rotation is irrelevant
-        links = []
-        for letter, body, place in zip("ab", bodies, places, strict=True):
-            link = self._new(f"{name}_{letter}", self.links)
-            self._add_fixed_joint(self.link_of[body], link, place)
-            links.append(link)
-        return ForeignLoop((links[0], links[1]), "6d" if whole else "3d", axes)
+        links = self._new(f"{name}_a"), self._new(f"{name}_b")
+        return self.urdf.cut_loop([self.link_of[body] for body in bodies], links, places, axes=axes)
 
     def _bodies_of_tie(self, number: int) -> tuple[list[int], list[pin.SE3]]:
         """The two bodies of a tie, and its place in each."""
@@ -344,11 +326,6 @@ class _MjcfReader:
         axis = directions[:, 2] if count == 2 else directions[:, 0]
         second, third = perpendicular_axes(axis)
         return np.column_stack([second, third, axis] if count == 2 else [axis, second, third]), max(count, 1)
-
-
-def unread_shapes(links: Sequence[str]) -> str:
-    """Say on which links collision shapes are left out."""
-    return f"collision shapes left out, which a URDF cannot hold (write 'obstacles' for them): of {listing(links)}"
 
 
 def _se3(xyz: FloatArray, quaternion: FloatArray) -> pin.SE3:

@@ -16,9 +16,8 @@ The package rosbags reads bags without ROS. It is not needed for anything else.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -38,31 +37,8 @@ _PLACES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
 }
 
 
-@dataclass
-class _Series:
-    """Numbers over time.
-
-    Attributes:
-        stamps: Times in the headers [s]; 0 where there is none.
-        recorded: Times of recording [s].
-        values: Numbers of each message [m, rad, 1].
-    """
-
-    stamps: list[float] = field(default_factory=list)
-    recorded: list[float] = field(default_factory=list)
-    values: list[tuple[float, ...]] = field(default_factory=list)
-
-    def add(self, message: Any, recorded: float, values: Iterable[float]) -> None:
-        """Add one message."""
-        self.stamps.append(message.header.stamp.sec + message.header.stamp.nanosec / 1e9)
-        self.recorded.append(recorded)
-        self.values.append(tuple(map(float, values)))
-
-    def sorted_by_time(self, stamped: bool) -> tuple[FloatArray, FloatArray]:
-        """Times (n,) [s], in order, and values (n, k)."""
-        times = np.array(self.stamps if stamped else self.recorded)
-        order = np.argsort(times, kind="stable")
-        return times[order], np.array(self.values)[order]
+_Series = list[tuple[float, ...]]
+"""A row for each message: time in its header [s], 0 without one; time of recording [s]; its numbers [m, rad, 1]."""
 
 
 def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[str, ...]]:
@@ -79,11 +55,10 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
             f"{path}: has no measurements (geometry_msgs/PointStamped, PoseStamped or TransformStamped); record their"
             f" topic too{_topics(path)}"
         )
-    all_series = [*joints.values(), *places.values()]
-    stamped = all(stamp > 0 for series in all_series for stamp in series.stamps)
-    measured = {topic: series.sorted_by_time(stamped) for topic, series in places.items()}
+    in_time = _sorted_by_time([*joints.values(), *places.values()])
+    of_joints, measured = in_time[: len(joints)], dict(zip(places, in_time[len(joints) :], strict=True))
     times = np.unique(np.concatenate([at for at, _ in measured.values()]))
-    q, spread = _joints_at(times, [series.sorted_by_time(stamped) for series in joints.values()])
+    q, spread = _joints_at(times, of_joints)
     still = spread <= _STILL
     if not still.any():
         finite = spread[np.isfinite(spread)]
@@ -94,7 +69,7 @@ def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[st
         )
     of_stop = stops(q[still])
     means = np.array([q[still][of_stop == stop].mean(axis=0) for stop in range(of_stop[-1] + 1)])
-    first = min(min(series.stamps if stamped else series.recorded) for series in all_series)
+    first = min(at[0] for at, _ in in_time)
     columns: list[tuple[str, list[object]]] = [
         ("pose", [f"stop {number + 1}" for number in of_stop]),
         ("time [s]", list(times[still] - first)),
@@ -116,16 +91,29 @@ def _series(path: Path | str) -> tuple[dict[str, _Series], dict[str, _Series]]:
         if kind != _JOINTS:
             at, turned = _PLACES[kind](message)
             rotation = () if turned is None else (turned.x, turned.y, turned.z, turned.w)
-            places.setdefault(topic, _Series()).add(message, recorded, (at.x, at.y, at.z, *rotation))
+            places.setdefault(topic, []).append((_stamp(message), recorded, at.x, at.y, at.z, *rotation))
             continue
         for name, value in zip(message.name, message.position, strict=False):  # some have names and no positions
             if source.setdefault(name, topic) != topic:
                 raise DataError(f"{path}: joint '{name}' is in {source[name]} and in {topic}; keep one of these topics")
-            joints.setdefault(name, _Series()).add(message, recorded, (value,))
+            joints.setdefault(name, []).append((_stamp(message), recorded, float(value)))
     for key, series in {**joints, **places}.items():
-        if len({len(value) for value in series.values}) > 1 or not np.isfinite(series.values).all():
+        if len({len(row) for row in series}) > 1 or not np.isfinite(series).all():
             raise DataError(f"{path}: '{key}' has numbers that are not finite, or messages of two kinds")
     return joints, places
+
+
+def _stamp(message: Any) -> float:
+    """Time in the header of a message [s]."""
+    return float(message.header.stamp.sec + message.header.stamp.nanosec / 1e9)
+
+
+def _sorted_by_time(all_series: list[_Series]) -> list[tuple[FloatArray, FloatArray]]:
+    """Times (n,) [s], in order, and values (n, k) of each series: by headers, if all messages have one."""
+    tables = [np.array(series, dtype=float) for series in all_series]
+    clock = 0 if all(np.all(table[:, 0] > 0) for table in tables) else 1
+    tables = [table[np.argsort(table[:, clock], kind="stable")] for table in tables]
+    return [(table[:, clock], table[:, 2:]) for table in tables]
 
 
 def messages_of_bag(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str, float, Any]]:
@@ -135,7 +123,7 @@ def messages_of_bag(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[st
     or the bag cannot be read.
     """
     for topic, kind, recorded, message in _messages(path, kinds):
-        stamp = message.header.stamp.sec + message.header.stamp.nanosec / 1e9
+        stamp = _stamp(message)
         yield topic, kind, stamp if stamp > 0 else recorded, message
 
 
@@ -145,8 +133,7 @@ def joints_of_bag(path: Path | str, times: FloatArray) -> tuple[list[str], Float
     `DataError` if rosbags is missing, the bag cannot be read, or a joint is in two topics.
     """
     joints, _ = _series(path)
-    stamped = all(stamp > 0 for series in joints.values() for stamp in series.stamps)
-    q, spread = _joints_at(times, [series.sorted_by_time(stamped) for series in joints.values()])
+    q, spread = _joints_at(times, _sorted_by_time(list(joints.values())))
     return list(joints), q, (spread <= _STILL) & bool(joints)
 
 

@@ -28,9 +28,9 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import UrdfError, nearest
+from calib.core.robots.mechanism import perpendicular_axes
 from calib.core.robots.urdf.text import ForeignLoop, ForeignRobot
-from calib.files.mjcf_reading import unread_shapes
-from calib.files.urdf_elements import document, inertial_element, joint_element, perpendicular_axes, shape_element
+from calib.files.urdf_elements import NewUrdf
 
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _ENDLESS = 1e10  # SDF limits above this count as none [m or rad]
@@ -64,18 +64,16 @@ class _SdfReader:
     def __init__(self, model: Element, old: bool, path: str) -> None:
         self.model, self.old, self.path = model, old, path
         self.named = {e.get("name", ""): e for tag in ("link", "joint", "frame") for e in model.findall(tag)}
-        self.root = Element("robot", name=model.get("name") or Path(path).stem)
+        self.urdf = NewUrdf(model.get("name") or Path(path).stem)
         self.known: dict[str, pin.SE3] = {}
-        self.unread: dict[str, None] = {}  # links with collision shapes that a URDF cannot hold
         self.tree: dict[str, Element] = {}  # joint of SDF by its child
 
     def read(self) -> tuple[bytes, ForeignRobot]:
         for link in self.model.findall("link"):
             self._link(link)
-        joints, loops = self.model.findall("joint"), []
+        joints, later = self.model.findall("joint"), []
         if any(self._text(joint, "parent") == "world" for joint in joints):
-            SubElement(self.root, "link", name="world")
-        later = []
+            self.urdf.add_link("world")
         for joint in joints:
             child = self._end(joint, "child")
             if child in self.tree:
@@ -88,9 +86,9 @@ class _SdfReader:
         named = [text for plugin in self.model.iter("plugin") for e in plugin.iter("joint_name") if (text := e.text)]
         motors = tuple(name for name in moving if name in named) if named or loops else tuple(moving)
         cut = [f"joint {joint.get('name')} closes a loop; the loop is cut open at this joint" for joint in later]
-        unread = [unread_shapes(list(self.unread))] if self.unread else []
-        foreign = ForeignRobot(motors, tuple(loops), home=dict.fromkeys(moving, 0.0), remarks=(*cut, *unread))
-        return document(self.root), foreign
+        remarks = (*cut, *self.urdf.remarks)
+        foreign = ForeignRobot(motors, tuple(loops), home=dict.fromkeys(moving, 0.0), remarks=remarks)
+        return self.urdf.document(), foreign
 
     def _text(self, element: Element, tag: str, default: str = "") -> str:
         return (element.findtext(tag) or default).strip()
@@ -171,7 +169,7 @@ class _SdfReader:
         rest, between = place.inverse() * self._place(child), child
         if kind != "fixed" and not rest.isIdentity(1e-12):
             between = f"{child}_{name}"
-            SubElement(self.root, "link", name=between)
+            self.urdf.add_link(between)
         origin = self._place(parent).inverse() * (self._place(child) if kind == "fixed" else place)
         axis, limits = joint.find("axis"), (-np.inf, np.inf)
         limit = None if axis is None else axis.find("limit")
@@ -184,13 +182,13 @@ class _SdfReader:
                 raise self._error(joint, "slides without limits, which a URDF must have: add them")
             kind = "continuous" if kind == "revolute" else kind
         if kind == "fixed":
-            joint_element(self.root, name, kind, (parent, between), origin)
+            self.urdf.add_joint(name, kind, (parent, between), origin)
         else:
             stated = None if kind == "continuous" else limits
-            element = joint_element(self.root, name, kind, (parent, between), origin, self._axis(joint), stated)
+            element = self.urdf.add_joint(name, kind, (parent, between), origin, self._axis(joint), stated)
             self._follow(element, joint)
         if between != child:
-            joint_element(self.root, f"{child}_fixed", "fixed", (between, child), rest)
+            self.urdf.add_joint(f"{child}_fixed", "fixed", (between, child), rest)
 
     def _follow(self, element: Element, joint: Element) -> None:
         mimic = joint.find("axis/mimic")
@@ -215,11 +213,8 @@ class _SdfReader:
             axes = axes[: 2 if self._planar(place.rotation[:, 2], ends) else 3]
         elif kind == "ball":
             axes = axes[:3]
-        links = (f"{name}_a", f"{name}_b")
-        for link, end in zip(links, ends, strict=True):
-            SubElement(self.root, "link", name=link)
-            joint_element(self.root, f"{link}_fixed", "fixed", (end, link), self._place(end).inverse() * place)
-        return ForeignLoop(links, "6d" if kind == "fixed" else "3d", axes)
+        places = [self._place(end).inverse() * place for end in ends]
+        return self.urdf.cut_loop(ends, (f"{name}_a", f"{name}_b"), places, axes=axes)
 
     def _planar(self, axis: FloatArray, ends: tuple[str, str]) -> bool:
         """Whether the joints between two links turn about an axis of the model, (3,), or slide across it."""
@@ -239,19 +234,17 @@ class _SdfReader:
             link = self._end(self.tree[link], "parent")
 
     def _link(self, link: Element) -> None:
-        result = SubElement(self.root, "link", name=link.get("name", ""))
+        name = link.get("name", "")
+        self.urdf.add_link(name)
         inertial = link.find("inertial")
         mass = "" if inertial is None else self._text(inertial, "mass")
         if inertial is not None and mass:
-            moments = inertial.findall("inertia/*")
-            inertial_element(result, self._pose(inertial), mass, {e.tag: (e.text or "0").strip() for e in moments})
+            moments = {e.tag: (e.text or "0").strip() for e in inertial.findall("inertia/*")}
+            self.urdf.add_inertia(name, self._pose(inertial), mass, moments)
         for role in ("visual", "collision"):
             for element in link.findall(role):
                 shape = self._shape(element)
-                if shape is not None:
-                    shape_element(result, role, self._pose(element), shape)
-                elif role == "collision":
-                    self.unread.setdefault(link.get("name", ""))
+                self.urdf.add_shape(name, role, [] if shape is None else [(self._pose(element), shape)])
 
     def _shape(self, visual: Element) -> Element | None:
         for kind, keys in (("box", ("size",)), ("sphere", ("radius",)), ("cylinder", ("radius", "length"))):

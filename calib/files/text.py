@@ -26,8 +26,7 @@ _UNITS = {
     "inches": "in",
     "feet": "ft",
 }
-SEEN = 40
-"""Number of lines in which a header is searched."""
+_SEEN = 40  # lines in which a header is searched
 _AXES = ["x", "y", "z"]
 _TRIPLES = (_AXES, ["rx", "ry", "rz"], ["tx", "ty", "tz"])
 
@@ -39,19 +38,19 @@ def cells_of(line: str) -> list[str]:
     return [cell.strip().strip('"') for cell in cells]
 
 
-def is_number(cell: str) -> bool:
-    """Return whether a cell is a number, with point or comma."""
+def _is_number(cell: str) -> bool:
+    """Whether a cell is a number, with point or comma."""
     return bool(_NUMBER.fullmatch(cell))
 
 
-def unit_above(lines: Sequence[str]) -> str | None:
-    """Return the unit of length in the lines above a table, or None."""
+def _unit_above(lines: Sequence[str]) -> str | None:
+    """The unit of length in the lines above a table, or None."""
     words = _UNITS | {f"units: {unit}": unit for unit in ("mm", "m")}
     return next((unit for line in lines for word, unit in words.items() if word in line.casefold()), None)
 
 
 def _numbers(cells: Sequence[str]) -> int:
-    return sum(map(is_number, cells))
+    return sum(map(_is_number, cells))
 
 
 def _join_cells(cells: Sequence[str]) -> str:
@@ -91,7 +90,7 @@ def commented_header_lines(file: SomeFile, known: tuple[int, list[str]]) -> list
     width = len(cells_of(lines[_first_row(lines) or 0]))
     names = [*names, *(f"column_{k + 1}" for k in range(len(names), width))]
     places = {name.split(" [")[0].split(" (")[0].casefold(): k for k, name in enumerate(names)}
-    unit = unit_above(lines[:header])
+    unit = _unit_above(lines[:header])
     if all(axis in places for axis in _AXES):
         z = re.search(r"[\[(](.+)[\])]$", names[places["z"]])
         unit = z[1] if z else unit
@@ -115,11 +114,11 @@ def has_no_names(file: SomeFile) -> bool:
     """Return whether every line has two or more numbers alone, or three or more with texts in the same places."""
     lines = [cells_of(line) for line in file.first_lines[:-1] or file.first_lines if line.strip()]
     first, *_ = lines = [cells for cells in lines if not cells[0].startswith(_MARKS)] or [[]]
-    places = [is_number(cell) for cell in first]
-    counted = [cell for cell in first if is_number(cell)]
+    places = [_is_number(cell) for cell in first]
+    counted = [cell for cell in first if _is_number(cell)]
     are_names = counted == [str(k + 1) for k in range(len(counted))]
     enough = len(places) > 1 and sum(places) >= min(len(places), 3) and not are_names
-    return enough and all([is_number(cell) for cell in cells] == places for cells in lines[:SEEN])
+    return enough and all([_is_number(cell) for cell in cells] == places for cells in lines[:_SEEN])
 
 
 def has_no_known_names(file: SomeFile) -> bool:
@@ -128,13 +127,15 @@ def has_no_known_names(file: SomeFile) -> bool:
     if row is None or not has_no_names(file):
         return False
     line = file.first_lines[row]
-    return not re.search("[,;\t]", line) or not all(map(is_number, cells_of(line)))
+    return not re.search("[,;\t]", line) or not all(map(_is_number, cells_of(line)))
 
 
 def is_separated_by_blanks(file: SomeFile) -> bool:
     """Return whether blanks separate a line of names, and the numbers below; rows may begin with a name."""
     k = _first_row(file.first_lines)
-    rows = [] if k is None else [line for line in file.first_lines[k:-1] or file.first_lines[k:] if line.strip()][:SEEN]
+    rows = (
+        [] if k is None else [line for line in file.first_lines[k:-1] or file.first_lines[k:] if line.strip()][:_SEEN]
+    )
     if len(rows) < 2 or any(re.search("[,;\t]", row) for row in rows):
         return False
     names, *table = [row.split() for row in rows]
@@ -156,7 +157,7 @@ def numbered_lines(file: SomeFile) -> list[str]:
 
 def find_axes(file: SomeFile) -> int | None:
     """Return the index of the line of X, Y, Z (or RX, RY, RZ, TX, TY, TZ) below a line of names; None without one."""
-    lines = [cells_of(line) for line in file.first_lines[:SEEN]]
+    lines = [cells_of(line) for line in file.first_lines[:_SEEN]]
     for k in range(1, len(lines)):
         letters, above = [_letter(cell) for cell in lines[k]], lines[k - 1]
         starts = {j for j in range(len(letters) - 2) if letters[j : j + 3] in _TRIPLES}
@@ -241,27 +242,24 @@ def motive_lines(file: SomeFile) -> list[str]:
 
 def find_expanded_uncertainty(file: SomeFile) -> tuple[int, list[str]] | None:
     """Return line and cells of the header that has U95; None if there is none."""
-    headers = ((k, cells_of(line)) for k, line in enumerate(file.first_lines[:SEEN]))
+    headers = ((k, cells_of(line)) for k, line in enumerate(file.first_lines[:_SEEN]))
     return next(((k, cells) for k, cells in headers if len(cells) > 3 and any(map(_U95.fullmatch, cells))), None)
 
 
 def expanded_uncertainty_lines(file: SomeFile, known: tuple[int, list[str]]) -> list[str]:
     """Return the lines with U95 of each axis; a point's U95 is used for each coordinate."""
-    lines, (header, names) = file.lines, known
-    single = next((j for j, name in enumerate(names) if (m := _U95.fullmatch(name)) and not m[1]), None)
-
-    def spread(cells: list[str], texts: Sequence[str]) -> list[str]:
-        return cells if single is None else [*cells[:single], *texts, *cells[single + 1 :]]
-
-    written = [f"U95 {m[1].upper()}" + (f" [{m[2]}]" if m[2] else "") if (m := _U95.fullmatch(n)) else n for n in names]
-    unit = f" [{m[2]}]" if single is not None and (m := _U95.fullmatch(names[single])) and m[2] else ""
+    header, names = known
+    columns = [[name] for name in names]
+    for column, name in zip(columns, names, strict=True):
+        if m := _U95.fullmatch(name):
+            column[:] = [f"U95 {axis.upper()}" + (f" [{m[2]}]" if m[2] else "") for axis in m[1] or "XYZ"]
     table = []
-    for k, line in enumerate(lines):
+    for k, line in enumerate(file.lines):
         cells = cells_of(line)
         if k == header:
-            table.append(";".join(spread(written, [f"U95 {axis}{unit}" for axis in "XYZ"])))
+            table.append(";".join(name for column in columns for name in column))
         elif k > header and len(cells) == len(names):
-            table.append(";".join(spread(cells, [cells[single]] * 3 if single is not None else [])))
+            table.append(";".join(cell for cell, column in zip(cells, columns, strict=True) for _ in column))
         else:
             table.append(line if _comment(line) is not None or not line.strip() else f"# {line}")
     return table
@@ -296,7 +294,7 @@ class ReportLayout:
 
 def find_layout(file: SomeFile) -> ReportLayout | None:
     """Return the columns of a file with measured coordinates; None for another file."""
-    lines = [cells_of(line) for line in file.first_lines[:SEEN]]
+    lines = [cells_of(line) for line in file.first_lines[:_SEEN]]
     for k, cells in enumerate(lines):
         folded = [cell.casefold() for cell in cells]
         name = next((j for j, cell in enumerate(folded) if cell in _NAMES), None)
@@ -320,7 +318,7 @@ def report_lines(file: SomeFile, layout: ReportLayout) -> list[str]:
     Raises:
         DataError: A point does not have exactly one X, Y and Z.
     """
-    unit = layout.unit or unit_above(file.lines[: layout.header + 2])
+    unit = layout.unit or _unit_above(file.lines[: layout.header + 2])
     points: dict[str, dict[str, str]] = {}
     name = ""
     for k, line in enumerate(file.lines[layout.header + 1 :], layout.header + 2):
@@ -330,7 +328,7 @@ def report_lines(file: SomeFile, layout: ReportLayout) -> list[str]:
         name = cells[layout.name] or name
         axes: Sequence[str] = "XYZ" if layout.control is None else [cells[layout.control].upper()]
         for axis, column in zip(axes, layout.values, strict=True):
-            if axis in ("X", "Y", "Z") and is_number(cells[column]):
+            if axis in ("X", "Y", "Z") and _is_number(cells[column]):
                 if axis in points.setdefault(name, {}):
                     raise DataError(f"{file.path}, line {k}: point '{name}' has {axis} twice; give each its own name")
                 points[name][axis] = cells[column]

@@ -42,9 +42,8 @@ from calib.core.fitting.fitted import Fit
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import HARDLY
 from calib.core.results.loaded_result import LoadedResult
-from calib.core.results.result_content import to_dict
 from calib.core.results.result_reading import load_result
-from calib.core.robots.robot import Robot
+from calib.core.results.results import to_dict
 from calib.fleets.comparison_report import ComparedResult, Difference, Pair, ResultComparison
 
 _OWN = 1e-3  # a difference with less than this part of both variances comes from the prior alone
@@ -99,10 +98,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
         else _Result(next(names_of_folders), load_result(given, failed_too=True))
         for k, given in enumerate(results)
     ]
-    of_first, *of_others = (result.loaded for result in loaded)
-    for found in of_others:
-        if geometry(found.robot) != geometry(of_first.robot):
-            raise DataError(f"{found.path}: is the result of another robot than {of_first.path}; their URDFs differ")
+    require_one_model([result.loaded for result in loaded])
     pairs = list(combinations(loaded, 2))
     notes: dict[str, list[str]] = {}  # pairs by their note
     for first, other in pairs:
@@ -163,9 +159,15 @@ def _fitted(fit: Fit, name: str) -> _Result:
     return _Result(name, loaded)
 
 
-def geometry(robot: Robot) -> list[tuple[object, ...]]:
-    """Return the common properties of robots of one model: names, links and origins of all joints of the URDF."""
-    return [(joint.name, joint.parent, joint.child, tuple(joint.xyz), tuple(joint.rpy)) for joint in robot.urdf.joints]
+def require_one_model(results: Sequence[LoadedResult]) -> None:
+    """Raise `DataError` if results are of robots whose URDFs differ in names, links or origins of joints."""
+    first, *others = (
+        [(joint.name, joint.parent, joint.child, tuple(joint.xyz), tuple(joint.rpy)) for joint in one.robot.urdf.joints]
+        for one in results
+    )
+    for result, geometry in zip(results[1:], others, strict=True):
+        if geometry != first:
+            raise DataError(f"{result.path}: is the result of another robot than {results[0].path}; their URDFs differ")
 
 
 def _why_not(first: _Result, other: _Result) -> str:
@@ -248,9 +250,7 @@ def _compared(given: Sequence[Fit | Path | str], results: Sequence[_Result]) -> 
 def _own_error(result: _Result, unit: str) -> tuple[float, str]:
     """Root mean square error of a result on its own readings, and which these are."""
     content = result.loaded.content
-    best = next((name for name in _ERRORS if name in content["errors"]), None)
-    if best is None:
-        raise DataError(f"{result.name}: its result.json has no errors; run the fit again")
+    best = next(name for name in _ERRORS if name in content["errors"])
     value, claim = content["errors"][best]["after"]["rms"], content["verdict"].get("claim")
     if best == "identification" and claim and claim["unit"] == unit:  # errors at used readings are always smaller
         best, value = "cross_validation", claim["rms"]

@@ -72,7 +72,7 @@ def evidence_of_fit(
     """
     unknowns = Unknowns.from_robot(robot, free)
     index = np.array([unknowns.names.index(p.name) for p in shared], dtype=np.intp)
-    scales, nominal = _scales(shared)
+    scales, nominal = scales_of(shared)
     prior, mean = unknowns.prior.select(index), (unknowns.expected[index] - nominal) / scales
     factor = scales / unknowns.scales[index]
     precision = factor[:, None] * prior.add_to(np.zeros((len(index), len(index)))) * factor
@@ -85,7 +85,7 @@ def expectation_of_fleet(
     fleet: FleetSection, robot: Robot, shared: Sequence[Parameter]
 ) -> tuple[FloatArray, FloatArray]:
     """Return a fleet's expectation of its parameters: mean (n,) and covariance (n, n), scaled."""
-    scales, nominal = _scales(shared)
+    scales, nominal = scales_of(shared)
     parameters = fleet.expected(shared, robot.path)
     covariance = fleet.covariance([p.name for p in shared])
     spread = np.array([p.sigma_si for p in parameters]) / np.sqrt(np.diag(covariance)) / scales
@@ -97,7 +97,7 @@ def section_of(
     learned: Hierarchy, robots: int, shared: Sequence[Parameter], noise_freedom: float = 0.0
 ) -> FleetSection:
     """Return mean and spread as a section of a robot description."""
-    scales, _ = _scales(shared)
+    scales, _ = scales_of(shared)
     spread = np.sqrt(learned.variance)
     sizes, axes = linalg.eigh(learned.covariance / spread[:, None] / spread)
     kept = np.flatnonzero(sizes > _SMALL)[::-1]
@@ -120,7 +120,8 @@ def _round(number: float, digits: int) -> float:
     return round(float(number), digits) + 0.0  # no -0.0
 
 
-def _scales(shared: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
+def scales_of(shared: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
+    """Return the sigmas and the nominal values of parameters, (n,) each [SI]."""
     return np.array([p.sigma_si for p in shared]), np.array([p.nominal_si for p in shared])
 
 

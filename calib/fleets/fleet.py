@@ -22,8 +22,14 @@ from calib.core.results.loaded_result import LoadedResult
 from calib.core.results.result_reading import load_result
 from calib.core.robots.description import description_yaml
 from calib.core.robots.robot import Robot
-from calib.fleets.comparing_results import geometry
-from calib.fleets.contradicted_prior import evidence_of_fit, section_of, shared_parameters, without_fleet
+from calib.fleets.comparing_results import require_one_model
+from calib.fleets.contradicted_prior import (
+    evidence_of_fit,
+    scales_of,
+    section_of,
+    shared_parameters,
+    without_fleet,
+)
 from calib.fleets.hierarchy import FleetComparison, Hierarchy, learn_without_odd
 from calib.fleets.ur_files import is_calibration, result_of_calibration
 
@@ -237,34 +243,26 @@ def fleet(*results: Path | str) -> Fleet:
             if is_calibration(result):
                 folders[k] = Path(scratch) / name.replace("/", "_").removesuffix(Path(result).suffix)
                 result_of_calibration(result, folders[k])
-        learned = _fleet(folders)
-    section = learned.robot.description.fleet
-    assert section is not None
-    bare = section.model_copy(update={"noise_freedom": _STATEMENT})  # these fits have no noise of an instrument
-    description = learned.robot.description.model_copy(update={"fleet": bare})
-    return replace(
-        learned,
-        robot=replace(learned.robot, description=description),
-        members=tuple(
-            replace(member, folder=str(result)) for member, result in zip(learned.members, results, strict=True)
-        ),
-    )
+        learned = _fleet(folders, _STATEMENT)  # these fits have no noise of an instrument
+    members = [replace(member, folder=str(result)) for member, result in zip(learned.members, results, strict=True)]
+    return replace(learned, members=tuple(members))
 
 
-def _fleet(folders: Sequence[Path]) -> Fleet:
+def _fleet(folders: Sequence[Path], noise_freedom: float | None = None) -> Fleet:
+    """The fleet of these results; if not given, the results tell how far the noise is known."""
     loaded = [load_result(folder) for folder in folders]
-    robots = [result.robot for result in loaded]
-    shared = _shared_parameters(robots, folders)
+    shared = _shared_parameters(loaded)
     _require_different(loaded)
     evidence = []
     for result in loaded:
         uncertainty, freedom = result.uncertainty, float(result.content["degrees_of_freedom"])
         evidence.append(evidence_of_fit(result.robot, uncertainty.free, uncertainty.covariance, freedom, shared))
-    learned, odd, compared = learn_without_odd(evidence, _kinds(robots[0], shared))
+    learned, odd, compared = learn_without_odd(evidence, _kinds(loaded[0].robot, shared))
     like = [result for k, result in enumerate(loaded) if k not in odd]
-    section = section_of(learned, len(like), shared, _confirmed_freedom(like))
-    bare = without_fleet(robots[0]).with_nominal_values()
-    scales, nominal = np.array([p.sigma_si for p in shared]), np.array([p.nominal_si for p in shared])
+    freedom = _confirmed_freedom(like) if noise_freedom is None else noise_freedom
+    section = section_of(learned, len(like), shared, freedom)
+    bare = without_fleet(loaded[0].robot).with_nominal_values()
+    scales, nominal = scales_of(shared)
     values, stds = _values_of_each(loaded, learned, odd, shared)
     return Fleet(
         replace(bare, files={}, description=bare.description.model_copy(update={"fleet": section})),
@@ -285,16 +283,15 @@ def _fleet(folders: Sequence[Path]) -> Fleet:
     )
 
 
-def _shared_parameters(robots: Sequence[Robot], folders: Sequence[Path]) -> tuple[Parameter, ...]:
+def _shared_parameters(results: Sequence[LoadedResult]) -> tuple[Parameter, ...]:
     """Shared parameters of the robots; an error if models or free parameters differ."""
-    first = shared_parameters(robots[0])
+    first, path = shared_parameters(results[0].robot), results[0].path
     if not first:
-        raise DataError(f"{folders[0]}: has no free parameters that robots share (origins, joint terms); free some")
-    for robot, folder in zip(robots[1:], folders[1:], strict=True):
-        if geometry(robot) != geometry(robots[0]):
-            raise DataError(f"{folder}: is the result of another robot than {folders[0]}; their URDFs differ")
-        both = {folders[0]: [p.name for p in first], folder: [p.name for p in shared_parameters(robot)]}
-        for less, more in ((folder, folders[0]), (folders[0], folder)):
+        raise DataError(f"{path}: has no free parameters that robots share (origins, joint terms); free some")
+    require_one_model(results)
+    for result in results[1:]:
+        both = {path: [p.name for p in first], result.path: [p.name for p in shared_parameters(result.robot)]}
+        for less, more in ((result.path, path), (path, result.path)):
             if missing := [name for name in both[more] if name not in both[less]]:
                 raise DataError(
                     f"{less}: has no free parameter '{missing[0]}', which {more} has; fit all with the same"
@@ -333,23 +330,16 @@ def _values_of_each(
     shared: Sequence[Parameter],
 ) -> tuple[FloatArray, FloatArray]:
     """Values and standard deviations of each robot, (n_robots, n) [SI]."""
-    names, scales = [p.name for p in shared], np.array([p.sigma_si for p in shared])
-    nominal = np.array([p.nominal_si for p in shared])
-    estimates = iter(zip(learned.estimates, learned.deviations, strict=True))
-    values, stds = [], []
-    for k, result in enumerate(results):
-        if k in odd:
-            robot = result.robot
-            place = robot.parameters.places(names)
-            std = np.zeros(len(robot.values))
-            std[result.uncertainty.free] = np.sqrt(np.diag(result.uncertainty.covariance))
-            values.append(robot.values[place])
-            stds.append(std[place])
-        else:
-            estimate, deviation = next(estimates)
-            values.append(nominal + scales * estimate)
-            stds.append(scales * deviation)
-    return np.array(values), np.array(stds)
+    scales, nominal = scales_of(shared)
+    values, stds = np.empty((2, len(results), len(shared)))
+    like = [k for k in range(len(results)) if k not in odd]
+    values[like], stds[like] = nominal + scales * learned.estimates, scales * learned.deviations
+    for k in odd:
+        robot, own = results[k].robot, results[k].uncertainty
+        place, std = robot.parameters.places(p.name for p in shared), np.zeros(len(robot.values))
+        std[own.free] = np.sqrt(np.diag(own.covariance))
+        values[k], stds[k] = robot.values[place], std[place]
+    return values, stds
 
 
 def _member(

@@ -98,19 +98,20 @@ def agreement(fit: Fit, rounding: FloatArray, seed: int, more: FloatArray | None
     """
     rng = np.random.default_rng(seed)
     whitening, n, k = fit.whitening, len(rounding), rounding.shape[2]
-    scale = whitening.row_scale(fit.scales)[:, None]  # 1 unless residuals contradict the rounding
     more = np.zeros((6 * n, 0)) if more is None else more
-    jacobian = np.hstack([fit.rows.jacobian * scale, more])
+    jacobian, residuals = _rows(fit)
+    jacobian = np.hstack([jacobian, more])
     prior = np.pad(fit.rows.prior.rows, ((0, 0), (0, more.shape[1])))
     L = whitening.flatten({CONTROLLER: rounding.copy()}).reshape(n, 6, k)
     w = rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (_DRAWS, n, k))
     e = np.einsum("vik,dvk->dvi", L, w).reshape(_DRAWS, -1)
     C = linalg.pinv(jacobian.T @ jacobian + prior.T @ prior, rcond=1e-12, hermitian=True)
     d = (e @ jacobian + rng.standard_normal((_DRAWS, len(prior))) @ prior) @ C
-    residuals = fit.rows.residuals * scale[:, 0]
     residuals = residuals - jacobian @ (C[:, len(C) - more.shape[1] :] @ (more.T @ residuals))
     all_r = np.vstack([e - d @ jacobian.T, residuals]).reshape(_DRAWS + 1, n, 6)
-    predicted = _leave_one_out_residuals(jacobian, C, all_r)
+    blocks = jacobian.reshape(n, 6, -1)
+    others = linalg.pinv(np.eye(6) - blocks @ C @ blocks.swapaxes(1, 2), rcond=1e-9)
+    predicted = np.einsum("vij,dvj->dvi", others, all_r)  # r' of the module docstring
     lengths = np.linalg.norm(predicted, axis=2)
     sums = np.stack([np.sum(all_r**2, axis=(1, 2)), np.sum(lengths**2, axis=1)])
     whiten = whitening.flatten({CONTROLLER: np.tile(np.eye(6), (n, 1, 1))}).reshape(n, 6, 6)
@@ -127,13 +128,6 @@ def agreement(fit: Fit, rounding: FloatArray, seed: int, more: FloatArray | None
         float(np.sqrt(np.mean(np.sum(left_out**2, axis=1)))),
         float(np.sqrt(np.mean(np.sum(fit.residuals[CONTROLLER][:, :3] ** 2, axis=1)))),
     )
-
-
-def _leave_one_out_residuals(jacobian: FloatArray, C: FloatArray, r: FloatArray) -> FloatArray:
-    """Residuals r' of the module docstring, (n_draws, n_pairs, 6), from r of this shape or (n_draws, 6 n_pairs)."""
-    blocks = jacobian.reshape(-1, 6, jacobian.shape[1])
-    others = linalg.pinv(np.eye(6) - blocks @ C @ blocks.swapaxes(1, 2), rcond=1e-9)
-    return np.asarray(np.einsum("vij,dvj->dvi", others, r.reshape(len(r), -1, 6)))
 
 
 def _error_elsewhere(fit: Fit, d: FloatArray) -> tuple[float, float]:
@@ -183,7 +177,9 @@ def explanation(
         spans = [_basis_complement(basis, G) for *_, G in tried]
         rest = _rows(fit)[1] - basis @ (basis.T @ _rows(fit)[1])
         left = [rest - span @ (span.T @ rest) for span in spans]
-        best = int(np.argmin([_criterion(rows, span.shape[1]) for rows, span in zip(left, spans, strict=True)]))
+        n_rows, counts = len(rest), [span.shape[1] for span in spans]
+        criteria = [n_rows * np.log(r @ r) + c * np.log(n_rows) for r, c in zip(left, counts, strict=True)]
+        best = int(np.argmin(criteria))
         if left[best] @ left[best] > _HALVED * (rest @ rest):
             break
         word, more, G = tried.pop(best)
@@ -197,7 +193,7 @@ def explanation(
 
 
 def _rows(fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Rows whitened by the rounding, and their residuals."""
+    """Rows whitened by the rounding, and their residuals; the scale is 1 unless residuals contradict the rounding."""
     scale = fit.whitening.row_scale(fit.scales)
     return fit.rows.jacobian * scale[:, None], fit.rows.residuals * scale
 
@@ -224,7 +220,3 @@ def _basis_complement(basis: FloatArray, G: FloatArray) -> FloatArray:
     G = G / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
     left, values, _ = linalg.svd(G - basis @ (basis.T @ G), full_matrices=False)
     return np.asarray(left[:, values > _SEEN])
-
-
-def _criterion(rest: FloatArray, coefficients: int) -> float:
-    return float(len(rest) * np.log(rest @ rest) + coefficients * np.log(len(rest)))

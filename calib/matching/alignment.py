@@ -1,27 +1,42 @@
-"""Base and tool that carry a robot's poses to printed poses: T_printed = X T_robot(q) Y.
+"""Base and tool that carry a robot's poses to printed poses, T_printed = X T_robot(q) Y, and what no pose shows.
 
-This is the hand-eye problem X^-1 T_printed = T_robot Y (`calib.core.instruments.hand_eye`).
+This is the hand-eye problem X^-1 T_printed = T_robot Y (`calib.core.instruments.hand_eye`). Rows with large misses are
+left out and the rest is aligned again, so that a row of another program does not spoil the result.
 
-Rows with large misses are left out and the rest is aligned again, so that a row of another program does not spoil the
-result.
+Some changes of base and tool are not seen, such as a shift of both along the parallel axes of a SCARA. With J the
+derivative of poses over the joints' ranges by parameters in sigmas, of places (p) and of joint origins (o), and unit
+rows as the priors of joint origins, the places are seen by what origins cannot imitate:
+
+    K = B - A A^+ B        A = [J_o; 1]        B = [J_p; 0]
+
+A singular direction of K with a standard deviation above a metre or a radian is not seen. So axes that are parallel but
+for errors of the robot, or for the digits of its file, count as parallel.
 
 When it fails. More than a third of the rows wrong.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.instruments.hand_eye import LEVER, rotation_form, solve_poses
 from calib.core.numerics import linalg
+from calib.core.numerics.identifiability import eliminate, reduce_rows
+from calib.core.robots.jacobian import linearise
+from calib.core.robots.robot import Robot
+from calib.matching.agreement import other_poses
+from calib.shared.null_space import UnseenGroup, natural_coefficients, null_groups
 
 _ROUNDS = 5
 _FAR = 6.0  # a row is left out if it misses by more than this many times the median miss
 _PARALLEL = 1e-3  # axes that lean less than this show no shift along them: robots differ more from their files [rad]
 _LEAST = 1e-4  # miss that is never left out [m]
+_SMALL = 1e-5  # change of a position that poses show [m]
+_UNSEEN = 100.0  # least standard deviation of an unseen change, in sigmas of places: 1 m, 1 rad
+_NAMED = 1e-3  # components of such a change that are smaller than this part of its largest one are not named
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +78,7 @@ def align(
     start = np.linalg.inv(now[0]), now[1]
     kept = np.ones(len(robot), dtype=bool)
     for _ in range(_ROUNDS):
-        inverse_base, tool = solve_poses(robot[kept], printed[kept], start, known)
-        turned = printed[kept, :3, 3] @ inverse_base[:3, :3].T
-        shifts = _shifts(robot[kept], turned, np.append(start[0][:3, 3], start[1][:3, 3]), known)
-        inverse_base[:3, 3], tool[:3, 3] = shifts[:3], shifts[3:]
+        inverse_base, tool = solve_poses(robot[kept], printed[kept], start, known, _PARALLEL)
         base = np.linalg.inv(inverse_base)
         misses = distances(base @ robot @ tool, printed)
         near = misses <= max(_FAR * float(np.median(misses)), _LEAST)
@@ -74,21 +86,6 @@ def align(
             break
         kept = near
     return Alignment(base, tool, misses, kept)
-
-
-def _shifts(robot: FloatArray, turned: FloatArray, now: FloatArray, known: tuple[bool, bool]) -> FloatArray:
-    """Shifts of X^-1 and Y, (6,) [m], near `now` where axes are parallel but for errors of the robot.
-
-    Args:
-        robot: T_robot(q), (n, 4, 4) [m].
-        turned: Printed positions, turned by X^-1, (n, 3) [m].
-        now: Present shifts, (6,) [m].
-        known: Whether those of X^-1 are known, and those of Y.
-    """
-    by = np.concatenate([np.tile(np.eye(3), (len(robot), 1, 1)), -robot[:, :3, :3]], axis=2).reshape(-1, 6)
-    free, moved = np.repeat(np.logical_not(known), 3), now.copy()
-    moved[free] += linalg.lstsq(by[:, free], (robot[:, :3, 3] - turned).reshape(-1) - by @ now, _PARALLEL)
-    return moved
 
 
 def turns_apart(robot: FloatArray, printed: FloatArray) -> float:
@@ -105,3 +102,48 @@ def distances(poses: FloatArray, others: FloatArray) -> FloatArray:
     away = np.sum((poses[:, :3, 3] - others[:, :3, 3]) ** 2, axis=1)
     turned = np.sum((poses[:, :3, :3] - others[:, :3, :3]) ** 2, axis=(1, 2)) / 2.0  # 4 sin^2 of half the angle
     return np.asarray(np.sqrt(away + LEVER**2 * turned))
+
+
+def without_unseen(model: Robot) -> Robot:
+    """Return the robot with as many parameters of places held as changes of them are not seen."""
+    places = _free_places(model)
+    held = eliminate(_seen_changes(model, places)).dropped
+    return model.fix([model.parameters[places[k]].name for k in held])
+
+
+def unseen_changes(model: Robot) -> list[str]:
+    """Return the changes of free places that are not seen, in words: `tool.z +1 mm, base.z -1 mm`."""
+    places, tool = _free_places(model), f"{model.target_names[0]}."
+    parameters = [model.parameters[k] for k in places]
+    of_tool = [k for k, p in enumerate(parameters) if p.name.startswith(tool)]
+    for k in of_tool:
+        parameters[k] = replace(parameters[k], name=parameters[k].name.replace(tool, "tool.", 1))
+    groups = map(_without_small, null_groups(_seen_changes(model, places), of_tool))
+    return [
+        ", ".join(f"{name} {size:+.4g} {unit}" for name, size, unit in natural_coefficients(group, parameters))
+        for group in groups
+    ]
+
+
+def _free_places(model: Robot) -> IntArray:
+    """Indices of the free parameters of base and tool."""
+    return np.flatnonzero(model.is_free & np.array([p.placement for p in model.parameters]))
+
+
+def _seen_changes(model: Robot, places: IntArray) -> FloatArray:
+    """Changes of places that are seen, orthonormal rows in sigmas, (k, n_places)."""
+    origins = np.setdiff1d(np.flatnonzero(model.is_free), places)
+    rows = linearise(model, model.assemble(other_poses(model)), turns=True).jacobian[:, 0]
+    rows = rows * [p.sigma_si for p in model.parameters] / np.repeat([_SMALL, _SMALL / LEVER], 3)[:, None]
+    rows = reduce_rows(rows.reshape(-1, rows.shape[-1]))
+    by_origins = np.vstack([rows[:, origins], np.eye(len(origins))])
+    by_places = np.vstack([rows[:, places], np.zeros((len(origins), len(places)))])
+    left = by_places - by_origins @ linalg.lstsq(by_origins, by_places)
+    _, values, directions = linalg.svd(left, full_matrices=False)
+    return np.asarray(directions[values > 1.0 / _UNSEEN])
+
+
+def _without_small(group: UnseenGroup) -> UnseenGroup:
+    """The group without components that are rounding, or too small to matter."""
+    large = np.abs(group.coefficients) > _NAMED * np.max(np.abs(group.coefficients))
+    return UnseenGroup(tuple(np.array(group.members)[large].tolist()), group.coefficients[large])

@@ -3,8 +3,9 @@
 Order of work: (1) the meaning of the columns, and the places of base and tool (`calib.matching.readings`); (2) a fit of
 all joint origins, with the covariance of rounding as the only noise; base and tool are where the user states, or at the
 robot's own frames if they are near these: another base is equivalent to another first origin; what no pose shows of
-both (`calib.matching.unseen`) stays; (3) if more than rounding remains, another tool and pairs of another program are
-tried, then joint terms, which a controller may have and a URDF cannot hold; (4) the claim (`calib.matching.agreement`).
+both stays (`calib.matching.alignment`); (3) if more than rounding remains, another tool and pairs of another program
+are tried, then joint terms, which a controller may have and a URDF cannot hold; (4) the claim
+(`calib.matching.agreement`).
 
 PASS means that rounding explains the residuals of all pairs, and that errors at other poses are of its size.
 """
@@ -36,11 +37,10 @@ from calib.core.robots.loading import RobotLike, as_robot, build
 from calib.core.robots.parametrisation import default_sections
 from calib.core.robots.robot import Robot
 from calib.matching.agreement import CONTROLLER, Agreement, agreement, explanation
-from calib.matching.alignment import Alignment, align, distances
+from calib.matching.alignment import Alignment, align, distances, unseen_changes, without_unseen
 from calib.matching.pairs import Pairs, read_pairs
 from calib.matching.readings import PlacedInterpretation, alike_error, candidates, nominal_poses
 from calib.matching.result import Match
-from calib.matching.unseen import unseen_changes, without_unseen
 
 _LEAST = 4  # pairs
 _MOST = 500  # largest number of pairs in the fit
@@ -114,9 +114,9 @@ def _first_fit(
     seed: int,
 ) -> TwinFit:
     """The fit of a reading, with base and tool as stated, or at the robot's frames if they are near."""
-    reading, aligned = candidate.reading, candidate.aligned
-    joints, positions, rotations = reading.select_pairs(pairs)
-    links, printed = nominal_poses(robot, reading.joints(joints)), reading.poses(positions, rotations)
+    aligned = candidate.aligned
+    q, printed = candidate.reading.values(pairs)
+    links = nominal_poses(robot, q)
     given = {"base": base, "tool": tool}
     stated = {what: _pose(pose, what, pairs, candidate) for what, pose in given.items() if pose is not None}
     now = stated.get("base", np.eye(4)), stated.get("tool", np.eye(4))
@@ -186,10 +186,9 @@ def _places(fit: TwinFit, stated: tuple[bool, bool]) -> tuple[str, str]:
 
 def _stock_misses(fit: TwinFit) -> FloatArray:
     """Distances of all pairs from the nominal robot with base and tool, (n,) [m]."""
-    reading, aligned = fit.candidate.reading, fit.candidate.aligned
-    joints, positions, rotations = reading.select_pairs(fit.pairs)
-    robot = aligned.base @ nominal_poses(fit.robot, reading.joints(joints)) @ aligned.tool
-    return distances(robot, reading.poses(positions, rotations))
+    aligned = fit.candidate.aligned
+    q, printed = fit.candidate.reading.values(fit.pairs)
+    return distances(aligned.base @ nominal_poses(fit.robot, q) @ aligned.tool, printed)
 
 
 def _pose(given: Sequence[float], what: str, pairs: Pairs, candidate: PlacedInterpretation) -> FloatArray:
@@ -200,18 +199,14 @@ def _pose(given: Sequence[float], what: str, pairs: Pairs, candidate: PlacedInte
     return replace(candidate.reading, direction="direct").poses(numbers[:, :3], numbers[:, 3:])[0]
 
 
-def _is_beyond_limits(pose: FloatArray, other: FloatArray, limits: tuple[float, float]) -> bool:
-    turn = scipy.spatial.transform.Rotation.from_matrix(pose[:3, :3].T @ other[:3, :3]).magnitude()
-    return bool(np.linalg.norm(pose[:3, 3] - other[:3, 3]) > limits[0] or turn > limits[1])
-
-
 def _frame_near(found: FloatArray) -> FloatArray | None:
     """The nearest frame turned by quarter turns, if `found` is near it; else None."""
     quarters = scipy.spatial.transform.Rotation.create_group("O").as_matrix()
     nearest = quarters[np.argmax(np.einsum("kij,ij->k", quarters, found[:3, :3]))]
     frame = np.eye(4)
     frame[:3, :3] = np.round(nearest)
-    return None if _is_beyond_limits(frame, found, _NEAR) else frame
+    shift, turn = np.linalg.norm(_twist(frame[None], found[None])[0].reshape(2, 3), axis=1)
+    return frame if shift <= _NEAR[0] and turn <= _NEAR[1] else None
 
 
 def _place(pose: FloatArray) -> str:
@@ -243,10 +238,6 @@ class TwinFit:
     seed: int
 
     @cached_property
-    def _data(self) -> tuple[Measurements, FloatArray]:
-        return self._measurements(self._model())
-
-    @cached_property
     def fit(self) -> JudgedFit:
         """The fit of joint origins."""
         return self._fit(self._data[0].joints)
@@ -263,7 +254,7 @@ class TwinFit:
 
     def _fit(self, joints: FloatArray) -> JudgedFit:
         try:
-            return calibrate(self._model(), replace(self._data[0], joints=joints), None, Settings(terms=None))
+            return calibrate(self._model, replace(self._data[0], joints=joints), None, Settings(terms=None))
         except NotIdentifiableError:
             raise NotIdentifiableError(
                 f"{self.pairs.path}: these pairs do not determine base and tool; add pairs in which all joints turn"
@@ -280,6 +271,7 @@ class TwinFit:
         base = fit.robot.description.base.frame
         return np.asarray(fit.robot.forward(np.zeros(len(fit.robot.joint_names)), base))
 
+    @cached_property
     def _model(self) -> Robot:
         """The nominal robot with all joint origins free, and known or aligned base and tool.
 
@@ -293,18 +285,12 @@ class TwinFit:
         description, name = robot.description, robot.target_names[0]
         target, state = description.targets[name], "unknown" if tool is None else "known"
         placed = {"pose": "unknown" if base is None else "known", **_xyz_rpy(aligned.base if base is None else base)}
+        held = _xyz_rpy(aligned.tool if tool is None else tool)
         content = {
             "urdf": Path(robot.urdf.path).name,
             "name_mot": robot.joint_names,
             "base": {"frame": description.base.frame, **placed},
-            "targets": {
-                name: {
-                    "frame": target.frame,
-                    "position": state,
-                    "orientation": state,
-                    **_xyz_rpy(aligned.tool if tool is None else tool),
-                }
-            },
+            "targets": {name: {"frame": target.frame, "position": state, "orientation": state, **held}},
             "instruments": {CONTROLLER: {"kind": "pose", "target": name}},
             "parametrisation": default_sections(),
         }
@@ -312,9 +298,10 @@ class TwinFit:
         behind = behind_last_axis(model)
         return model.fix([p.name for p in model.parameters if p.name.rpartition(".")[0] in behind])
 
-    def _measurements(self, model: Robot) -> tuple[Measurements, FloatArray]:
+    @cached_property
+    def _data(self) -> tuple[Measurements, FloatArray]:
         """The kept pairs with the covariance of rounding, and the effect of each rounded number, (n, 6, k)."""
-        reading, pairs = self.candidate.reading, self.pairs
+        reading, pairs, model = self.candidate.reading, self.pairs, self._model
         kept = np.array(self.kept)
         joints, positions, rotations = (array[kept] for array in reading.select_pairs(pairs))
         q, T = reading.joints(joints), reading.poses(positions, rotations)
@@ -332,8 +319,7 @@ class TwinFit:
         rounding = np.stack(columns, axis=2) / np.sqrt(12.0)
         covariance = rounding @ rounding.swapaxes(1, 2)
         values = np.hstack([T[:, :3, 3], scipy.spatial.transform.Rotation.from_matrix(T[:, :3, :3]).as_rotvec()])
-        index = np.arange(n)
-        readings = Readings(index, np.zeros(n, dtype=np.intp), values, covariance, np.zeros((n, 0)))
+        readings = Readings(np.arange(n), np.zeros(n, dtype=np.intp), values, covariance, np.zeros((n, 0)))
         names = [pairs.rows[k] for k in kept]
         return as_measurements(model, q, {CONTROLLER: readings}, names), rounding
 

@@ -140,12 +140,11 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
         DataError: Columns are missing or ambiguous.
     """
     table = _without_header(path) or read_table(path)
-    names = [_plain(name) for name in table.names]
+    names = [re.sub(r"[\W_]", "", name.casefold()) for name in table.names]
     joints = _joint_columns(table, names, joint_names)
     positions, rotations, words = _pose_columns(names, joints)
     if not (joints and positions and rotations):
-        order = list(range(len(names)))
-        n = len(joint_names)
+        order, n = list(range(len(names))), len(joint_names)
         if len(names) - n - 3 not in _WIDTHS:
             raise DataError(
                 f"{path}: {count_noun(n, 'joint value')}, x, y, z and a rotation of 3, 4 or 9 numbers are needed in"
@@ -153,15 +152,12 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
                 f" {', '.join(table.names)})"
             )
         joints, positions, rotations = order[:n], order[n : n + 3], order[n + 3 :]
-    used = (*joints, *positions, *rotations)
     numbers = {
         k: table.column(table.names[k], None) if table.units[k] is None else np.array(table.text(table.names[k]), float)
-        for k in used
+        for k in (*joints, *positions, *rotations)
     }
     units = (*(table.units[k] for k in joints), _unit(table, positions), _unit(table, rotations))
-    steps = [_step(table, (k,), numbers) for k in joints] + [
-        _step(table, columns, numbers) for columns in (positions, rotations)
-    ]
+    steps = [_step(table, columns, numbers) for columns in (*([k] for k in joints), positions, rotations)]
     q, p, r = (np.stack([numbers[k] for k in columns], axis=1) for columns in (joints, positions, rotations))
     rows = tuple(f"line {line}" for line in table.lines)
     return Pairs(str(path), rows, q, p, r, units, np.array(steps), words)
@@ -183,10 +179,6 @@ def _without_header(path: Path | str) -> Table | None:
     names = tuple(f"number {k + 1}" for k in range(width))
     cells = tuple(cells for _, cells in rows)
     return Table(str(path), names, (None,) * width, cells, tuple(number for number, _ in rows), (), ",")
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[\W_]", "", name.casefold())
 
 
 def _series(names: list[str]) -> dict[str, dict[int, int]]:
@@ -217,31 +209,17 @@ def _pose_columns(names: list[str], joints: Sequence[int]) -> tuple[list[int], l
         if order is not None and any(word in stem for word in _POSES) and not set(columns.values()) & set(joints):
             numbers = [columns[k] for k in sorted(columns)]
             return [numbers[k] for k in order[:3]], [numbers[k] for k in order[3:]], ""
-    positions = _position_columns(names, joints)
-    return positions, *_rotation_columns(names, (*joints, *positions))
-
-
-def _position_columns(names: list[str], taken: Sequence[int]) -> list[int]:
-    rotations = {ending for words in HEADERS for ending in words.split()}
-    found = []
-    for axis in "xyz":
-        fitting = [
-            k
-            for k, name in enumerate(names)
-            if k not in taken and name.endswith(axis) and not any(name.endswith(end) for end in rotations)
-        ]
-        found += fitting[:1]
-    return found if len(found) == 3 else []
-
-
-def _rotation_columns(names: list[str], taken: Sequence[int]) -> tuple[list[int], str]:
-    left = [k for k in range(len(names)) if k not in taken]
+    turns = tuple(ending for words in HEADERS for ending in words.split())
+    left = [k for k in range(len(names)) if k not in joints]
+    ends = [[k for k in left if names[k].endswith(axis) and not names[k].endswith(turns)][:1] for axis in "xyz"]
+    positions = [k for found in ends for k in found] if all(ends) else []
+    left = [k for k in left if k not in positions]
     for words in HEADERS:
-        columns = [next((k for k in left if names[k].endswith(ending)), -1) for ending in words.split()]
-        if -1 not in columns and len(set(columns)) == len(columns):
-            return columns, words
-    after = [k for k in left if k > max(taken, default=-1)]
-    return (after, "") if len(after) in _WIDTHS else ([], "")
+        rotations = [next((k for k in left if names[k].endswith(ending)), -1) for ending in words.split()]
+        if -1 not in rotations and len(set(rotations)) == len(rotations):
+            return positions, rotations, words
+    after = [k for k in left if k > max((*joints, *positions), default=-1)]
+    return positions, after if len(after) in _WIDTHS else [], ""
 
 
 def _unit(table: Table, columns: Sequence[int]) -> str | None:

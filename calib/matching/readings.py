@@ -117,6 +117,11 @@ class Interpretation:
         q, other = slice(ahead, ahead + n), slice(behind, behind + n)
         return pairs.joints[q], pairs.positions[other], pairs.rotations[other]
 
+    def values(self, pairs: Pairs) -> tuple[FloatArray, FloatArray]:
+        """Return joint values (n, n_joints) [m or rad] and T_base_tool, (n, 4, 4) [m]."""
+        joints, positions, rotations = self.select_pairs(pairs)
+        return self.joints(joints), self.poses(positions, rotations)
+
     def steps(self, pairs: Pairs) -> FloatArray:
         """Return the rounding steps of joints, positions and rotations, (n_joints + 2,), in units of the file.
 
@@ -152,18 +157,9 @@ class PlacedInterpretation:
     reading: Interpretation
     aligned: Alignment
 
-    @property
-    def miss(self) -> float:
-        """Root mean square of its misses [m]."""
-        return self.aligned.rms_distance
-
 
 def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
     """Return the readings that fit the nominal robot, the best first; several if only a fit can decide.
-
-    Args:
-        robot: Nominal, its base and target at the controller's possible links.
-        pairs: The file.
 
     Raises:
         DataError: No reading fits, or several fit equally; see `alike_error`.
@@ -179,19 +175,20 @@ def candidates(robot: Robot, pairs: Pairs) -> list[PlacedInterpretation]:
         )
     limit = _FIT * spread
     for readings in _single_twists(robot, pairs, usual):
-        if min(one.miss for one in tried) <= limit:
+        if min(one.aligned.rms_distance for one in tried) <= limit:
             break
         tried += _place(robot, pairs, readings)
-    best = min(tried, key=lambda one: one.miss)
-    if best.miss > limit:
+    best = min(tried, key=lambda one: one.aligned.rms_distance)
+    least = best.aligned.rms_distance
+    if least > limit:
         raise DataError(
             f"{pairs.path}: no reading of the columns brings the poses near {robot.path}; the nearest"
-            f" ({best.reading.words()}) leaves {quantity_text(best.miss, 'mm', '.0f')}. Check that it is this robot,"
-            " that all rows have one tool and one base, and that joint values and pose of a row belong together"
+            f" ({best.reading.words()}) leaves {quantity_text(least, 'mm', '.0f')}. Check that it is this robot, that"
+            " all rows have one tool and one base, and that joint values and pose of a row belong together"
         )
     alike: list[PlacedInterpretation] = []
-    for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), one.miss)):
-        near = one.miss < min(_ALIKE * best.miss, limit)
+    for one in sorted(tried, key=lambda one: (len(one.reading.mistakes(pairs)), one.aligned.rms_distance)):
+        near = one.aligned.rms_distance < min(_ALIKE * least, limit)
         if near and not any(_are_same(pairs, one.reading, other.reading) for other in alike):
             alike.append(one)
     if len(alike) > _MOST and HEADERS.get(pairs.words):
@@ -217,10 +214,10 @@ def nominal_poses(robot: Robot, joints: FloatArray) -> FloatArray:
 
 def _are_same(pairs: Pairs, one: Interpretation, other: Interpretation) -> bool:
     """Whether two readings give the same joint values and poses in this file."""
-    (q, *pose), (q_other, *pose_other) = one.select_pairs(pairs), other.select_pairs(pairs)
-    if len(q) != len(q_other) or not np.allclose(one.joints(q), other.joints(q_other), atol=_SAME):
-        return False
-    return bool(np.allclose(one.poses(*pose), other.poses(*pose_other), atol=_SAME))
+    values, others = one.values(pairs), other.values(pairs)
+    return len(values[0]) == len(others[0]) and all(
+        np.allclose(mine, theirs, atol=_SAME) for mine, theirs in zip(values, others, strict=True)
+    )
 
 
 def _place(robot: Robot, pairs: Pairs, readings: Iterable[Interpretation]) -> list[PlacedInterpretation]:
@@ -228,8 +225,8 @@ def _place(robot: Robot, pairs: Pairs, readings: Iterable[Interpretation]) -> li
     alignments: dict[bytes, Alignment] = {}
     placed = []
     for reading in readings:
-        joints, positions, rotations = reading.select_pairs(pairs)
-        poses = np.stack([nominal_poses(robot, reading.joints(joints)), reading.poses(positions, rotations)])
+        joints, printed = reading.values(pairs)
+        poses = np.stack([nominal_poses(robot, joints), printed])
         key = (np.round(poses / _SAME) + 0.0).tobytes()  # 0.0 makes zeros of both signs one
         if key not in alignments:
             alignments[key] = align(*poses)
@@ -249,12 +246,12 @@ def _likeliest(
     for start, direction in product(_plain(robot, pairs), directions):
         group = []
         for twist in twists:
-            joints, positions, rotations = replace(start, twist=twist).select_pairs(pairs)
-            robots = nominal_poses(robot, replace(start, twist=twist).joints(joints))[:, :3, :3]
+            twisted = replace(start, twist=twist, direction=direction)
+            robots = nominal_poses(robot, twisted.values(pairs)[0])[:, :3, :3]
             for convention, unit in product(CONVENTIONS, ("deg", "rad")):
-                if convention.width == rotations.shape[1] and (convention.has_angles or unit == "rad"):
-                    one = replace(start, convention=convention, angle_unit=unit, direction=direction, twist=twist)
-                    group.append((turns_apart(robots, one.poses(positions, rotations)[:, :3, :3]), one))
+                if convention.width == pairs.rotations.shape[1] and (convention.has_angles or unit == "rad"):
+                    one = replace(twisted, convention=convention, angle_unit=unit)
+                    group.append((turns_apart(robots, one.values(pairs)[1][:, :3, :3]), one))
         group.sort(key=lambda entry: entry[0])
         ranked += [each for k, each in enumerate(group) if k < _SHORT or each[0] < group[0][0] + _TURNED]
     return [reading for _, reading in sorted(ranked, key=lambda entry: entry[0])]

@@ -18,6 +18,7 @@ from calib.core.base.arrays import FloatArray
 
 _STEP = 1.0  # largest step of a joint between neighbours in OMPL's trees [m or rad]
 _SEED = 57
+_MOST_CHECKS = 150  # moves
 
 util.noOutputHandler()
 util.RNG.setSeed(_SEED)
@@ -53,16 +54,10 @@ def search(
     limits: FloatArray,
     is_free: Callable[[FloatArray], bool],
     is_free_move: Callable[[FloatArray, FloatArray], bool],
-    most_checks: int,
 ) -> FloatArray | None:
-    """Return the corners of a free path, including both ends, (n, n_actuated); None if none was found.
+    """Return the corners of a free path between free commands (n_actuated,) [m or rad]; None if none was found.
 
-    Args:
-        start, end: Free commands, (n_actuated,) [m or rad].
-        limits: Limits of the joints, (n_actuated, 2).
-        is_free: Whether a command is free.
-        is_free_move: Whether the straight move between two commands is free.
-        most_checks: Largest number of moves to check.
+    It includes both ends, (n, n_actuated), and stays within the limits (n_actuated, 2).
     """
     n = len(start)
     space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
@@ -84,7 +79,7 @@ def search(
     planner.setRange(_STEP * float(np.sqrt(n)))
     planner.setProblemDefinition(problem)
     planner.setup()
-    solved = planner.solve(base.PlannerTerminationCondition(lambda: validator.n_checked >= most_checks))
+    solved = planner.solve(base.PlannerTerminationCondition(lambda: validator.n_checked >= _MOST_CHECKS))
     if not solved or not problem.hasExactSolution():
         return None
     path = problem.getSolutionPath()

@@ -39,11 +39,9 @@ _BENDS = 2.0
 
 @dataclass(frozen=True)
 class StraightMove:
-    """Result of the check of a straight move.
+    """Result of the check of a straight move: the colliding pair that was found first, or "".
 
-    Attributes:
-        hit: The first colliding pair in the order of checking, or "".
-        clearance: Smallest distance of any pair at the checked points [m]; a lower bound for meshes far apart.
+    `clearance` is the smallest distance of any pair at the checked points [m]; a lower bound for meshes far apart.
     """
 
     hit: str
@@ -89,7 +87,6 @@ def _halves(ends: FloatArray, middle: FloatArray) -> FloatArray:
     return np.concatenate([np.stack([ends[:, 0], middle], axis=1), np.stack([middle, ends[:, 1]], axis=1)])
 
 
-_MOST_CHECKS = 150  # largest number of moves that OMPL may check
 _SHORTCUTS = 20
 _NEAREST = 25  # moves of each node of the roadmap
 _TRIED = 100  # largest number of paths to check
@@ -102,10 +99,8 @@ class Planner:
     """Finds paths in a scene.
 
     Attributes:
-        scene: The scene.
         nodes: Free poses of the roadmap, all different, (n, n_actuated) [m or rad].
         limits: Limits of the joints, (n_actuated, 2) [m or rad].
-        seed: Seed of random numbers.
         checked_moves: Checked moves by their ends.
         here: The robot's present node.
     """
@@ -148,12 +143,8 @@ class Planner:
     def free_path(self, start: int, end: int, *, searched: bool = True) -> FloatArray | None:
         """Return the corners of a free path between two nodes, including both, (n, n_actuated); None: none found.
 
-        Args:
-            start, end: Indices of the nodes.
-            searched: Whether OMPL searches where the roadmap ends, which is slow.
-
-        Raises:
-            InputError: OMPL is needed, and not installed.
+        Where the roadmap ends, OMPL searches if that is wanted, which is slow; if it is not installed, that is an
+        `InputError`.
         """
         if self._is_free(start, end):
             return self.nodes[[start, end]]
@@ -204,7 +195,6 @@ class Planner:
             self.limits,
             lambda q: not self.scene.hits(q[None])[0],
             lambda one, other: not self.move(one, other).hit,
-            _MOST_CHECKS,
         )
         before = self.nodes[[start]] if near == start else self._roadmap_path(start, near)
         return None if found is None or before is None else np.vstack([before[:-1], found])
@@ -213,7 +203,9 @@ class Planner:
         """A shorter path with fewer corners."""
         generator = np.random.default_rng(self.seed)
         corners = self._straighten(corners)
-        for _ in range(_SHORTCUTS if len(corners) > 2 else 0):
+        for _ in range(_SHORTCUTS):
+            if len(corners) < 3:
+                break
             cut = self._cut_corner(corners, generator)
             if cut is not None:
                 corners = self._straighten(cut)
@@ -230,12 +222,10 @@ class Planner:
 
     def _cut_corner(self, corners: FloatArray, generator: np.random.Generator) -> FloatArray | None:
         """The path with a corner cut off at random points before and behind it; None if that is blocked."""
-        if len(corners) < 3:
-            return None
         k = int(generator.integers(1, len(corners) - 1))
         before, behind = generator.uniform(0.2, 0.9, 2)
         one = corners[k] + before * (corners[k - 1] - corners[k])
         other = corners[k] + behind * (corners[k + 1] - corners[k])
-        if self.move(one, other).hit or self.move(corners[k - 1], one).hit or self.move(other, corners[k + 1]).hit:
-            return None
-        return np.vstack([corners[:k], one, other, corners[k + 1 :]])
+        moves = (one, other), (corners[k - 1], one), (other, corners[k + 1])
+        free = not any(self.move(*move).hit for move in moves)
+        return np.vstack([corners[:k], one, other, corners[k + 1 :]]) if free else None

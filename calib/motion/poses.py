@@ -29,11 +29,12 @@ from calib.core.base.files import read_text
 from calib.core.base.memoize import memoize
 from calib.core.base.words import count_noun
 from calib.core.robots.robot import Robot
+from calib.core.robots.urdf.meshes import find_mesh
 from calib.motion.scene import CollisionScene, all_shapes, exceeds_limits, moving_between
-from calib.motion.shapes import has_collision_shapes, is_moved_frame, missing_meshes
+from calib.motion.shapes import is_moved_frame
 from calib.motion.sight import Sight, sight_lines
 from calib.motion.surroundings import UNCHECKED
-from calib.shared.links import element_tree
+from calib.shared.links import element_tree, read_links
 from calib.shared.pose_check import PoseCheck
 
 _SIGHT_SAMPLES = 100  # poses from which shapes that always hide a line are found
@@ -52,13 +53,19 @@ def why_unchecked(robot: Robot) -> str:
     stated += [each for target in description.targets.values() for each in (target.shape, target.acceptance)]
     if any(each is not None for each in stated):
         return ""
-    try:
-        if not has_collision_shapes(robot):
-            return "the robot file has no collision shapes, and the description names no obstacles"
-        missing = missing_meshes(robot)
-    except UrdfError as error:
-        return str(error)
-    return f"mesh '{missing[0]}' of {robot.urdf.path} is not there" if missing else ""
+    links = {}
+    if b"<collision" in robot.urdf.source:
+        try:
+            links = read_links(robot.urdf)
+        except UrdfError as error:
+            return str(error)
+    shapes = [shape for link in links.values() for shape in link.collisions]
+    if not shapes:
+        return "the robot file has no collision shapes, and the description names no obstacles"
+    for shape in shapes:
+        if shape.kind == "mesh" and find_mesh(shape.file, robot.urdf.path) is None:
+            return f"mesh '{shape.file}' of {robot.urdf.path} is not there"
+    return ""
 
 
 @memoize
@@ -76,11 +83,7 @@ def surroundings(robot: Robot) -> Sight:
 
 
 def what_hits(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
-    """Return the colliding pair, or the hiding shape, at commands (n, n_actuated) [m or rad], (n,); "" for none.
-
-    Raises:
-        DescriptionError: See `surroundings`.
-    """
+    """Return the colliding pair, or the hiding shape, at commands (n, n_actuated) [m or rad], (n,); "" for none."""
     sight = surroundings(robot)
     hits = np.array(sight.scene.hits(joints), dtype=object)
     free = np.flatnonzero(hits == "")
@@ -90,11 +93,7 @@ def what_hits(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
 
 
 def check_poses(robot: Robot, joints: FloatArray) -> PoseCheck:
-    """Return the check of commands (n, n_actuated) [m or rad]; see `calib.shared.pose_check`.
-
-    Raises:
-        DescriptionError: See `surroundings`.
-    """
+    """Return the check of commands (n, n_actuated) [m or rad]; see `calib.shared.pose_check`."""
     unchecked = why_unchecked(robot)
     if unchecked:
         return PoseCheck(("",) * len(joints), (), unchecked)
@@ -102,11 +101,7 @@ def check_poses(robot: Robot, joints: FloatArray) -> PoseCheck:
 
 
 def build_scene(robot: Robot) -> CollisionScene:
-    """Return the scene of a robot, with the pairs to check.
-
-    Raises:
-        DescriptionError: A mesh is missing, an SRDF is of another robot, or an obstacle surrounds the robot.
-    """
+    """Return the scene of a robot, with the pairs to check."""
     scene = all_shapes(robot)
     disabled = _disabled_pairs(robot)
     names = [frozenset(scene.bodies[k].name for k in pair) for pair in scene.pairs]

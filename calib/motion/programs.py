@@ -52,13 +52,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Language:
-    """A language of programs.
-
-    Attributes:
-        suffix: Suffix of its files.
-        write: Writes a route.
-        six_axes: Whether its joint moves are only for six revolute joints.
-    """
+    """A language of programs: the suffix of its files, and whether its joint moves are only for six turning joints."""
 
     suffix: str
     write: Callable[[Route, Motion], str]

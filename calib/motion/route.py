@@ -25,7 +25,6 @@ from calib.core.base.workers import Progress
 from calib.core.data.measurements import Poses
 from calib.core.instruments.kind import Readings
 from calib.core.instruments.touch import Touch
-from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
@@ -33,7 +32,7 @@ from calib.motion.planner import Planner
 from calib.motion.poses import surroundings, what_hits
 from calib.motion.scene import CollisionScene, exceeds_limits
 from calib.motion.surroundings import FLOOR, UNCHECKED
-from calib.shared.candidates import configurations_at
+from calib.shared.candidates import reachable_configurations
 
 _NODES = 150  # poses of the roadmap in addition to the stops
 _ROUNDS = 6  # rounds of tries with the next best candidates
@@ -69,9 +68,7 @@ class Route:
     """Stops in order, from the robot's start.
 
     Attributes:
-        robot: The robot.
-        start: Its first joint values, (n_actuated,) [m or rad].
-        stops: The stops.
+        start: The robot's first joint values, (n_actuated,) [m or rad].
         left_out: Reason for each pose that is not visited, by name.
         replaced: Names of the candidates that replace them.
         remarks: Notes on unchecked shapes.
@@ -308,14 +305,11 @@ def approaches(robot: Robot, poses: Poses) -> FloatArray:
         return poses.joints
     in_sockets = {touch.name: replace(touch, surface="socket") for touch in touches}  # a socket reads the whole offset
     touching_robot = replace(robot, instruments=tuple(in_sockets.get(each.name, each) for each in robot.instruments))
-    columns = term_columns(robot, poses.joints, poses.conditions)
-    closed = robot.close(poses.joints, columns=columns)
-    good = np.flatnonzero(closed.ok)
-    configurations = configurations_at(robot, poses.joints, closed, columns, good)
+    good, configurations = reachable_configurations(robot, poses)
     off, touched = {}, np.zeros(len(poses), dtype=bool)
     for touch in touches:
         looks = poses.planned[touch.name]
-        looks = looks.subset(np.flatnonzero(closed.ok[looks.visits]))
+        looks = looks.subset(np.flatnonzero(np.isin(looks.visits, good)))
         at = replace(looks, visits=np.searchsorted(good, looks.visits))
         offset = predict_readings(touching_robot, configurations, {touch.name: at})[touch.name].values
         sides = offset if touch.surface == "sphere" else np.tile([0.0, 0.0, 1.0], (len(offset), 1))

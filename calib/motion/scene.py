@@ -28,7 +28,7 @@ import pinocchio as pin
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.robots.configurations import distances, solve_configurations
 from calib.core.robots.robot import Robot
-from calib.motion.shapes import Body, bodies_of, is_inside
+from calib.motion.shapes import Body, Solid, bodies_of, is_inside
 
 Pairs = tuple[tuple[int, int], ...]
 _EXACT = 1e-6  # error of distances [m]
@@ -43,8 +43,6 @@ class CollisionScene:
     """Shapes, and the pairs of shapes whose distances are computed.
 
     Attributes:
-        robot: The robot.
-        bodies: The shapes.
         pairs: Indices of the two shapes of each pair.
         remarks: Notes on the shapes of links, and on unchecked pairs.
         without_clearance: Pairs that keep no clearance.
@@ -79,7 +77,7 @@ class CollisionScene:
         """Pinocchio's model of the shapes, its data, and the data of the robot's model."""
         geometry = pin.GeometryModel()
         for k, body in enumerate(self.bodies):
-            geometry.addGeometryObject(pin.GeometryObject(f"{k}", body.joint, body.placement, body.hull))
+            geometry.addGeometryObject(pin.GeometryObject(f"{k}", body.joint, body.placement, body.solid.hull))
         for a, b in self.pairs:
             geometry.addCollisionPair(pin.CollisionPair(a, b))
         data = pin.GeometryData(geometry)
@@ -96,7 +94,7 @@ class CollisionScene:
     @cached_property
     def _is_rough(self) -> BoolArray:
         """Whether a shape of each pair is only approximated by its hull, (n_pairs,)."""
-        return np.array([any(self.bodies[k].mesh is not None for k in pair) for pair in self.pairs], dtype=bool)
+        return np.array([any(self.bodies[k].solid.mesh is not None for k in pair) for pair in self.pairs], dtype=bool)
 
     def configurations(self, q: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return all joints (n, n_joints) [m or rad] at commands q (n, n_actuated), and the mask of closed loops (n,).
@@ -146,10 +144,10 @@ class CollisionScene:
     def _exact(self, pair: int, of_hulls: float, placed: Any, thorough: bool) -> float:
         """Distance of the triangles of a pair minus its clearance [m]."""
         a, b = self.pairs[pair]
-        one, other = self.bodies[a], self.bodies[b]
-        shapes = [body.hull if body.mesh is None else body.mesh for body in (one, other)]
-        if any(isinstance(body.hull, coal.Halfspace) for body in (one, other)):
+        one, other = self.bodies[a].solid, self.bodies[b].solid
+        if any(isinstance(solid.hull, coal.Halfspace) for solid in (one, other)):
             return of_hulls  # a plane touches a hull at a point of its shape
+        shapes = [solid.hull if solid.mesh is None else solid.mesh for solid in (one, other)]
         T = [coal.Transform3s(placed[k].rotation, placed[k].translation) for k in (a, b)]
         margin = float(self.margins[pair])
         apart = coal.distance(shapes[0], T[0], shapes[1], T[1], coal.DistanceRequest(), coal.DistanceResult())
@@ -158,7 +156,7 @@ class CollisionScene:
                 (one, other, placed[a].actInv(placed[b])),
                 (other, one, placed[b].actInv(placed[a])),
             ):
-                if len(outer.corners) and is_inside(to_outer.act(_point_inside(inner))[None], outer.corners):
+                if len(outer.corners) and is_inside(to_outer.act(_point_inside(inner)), outer.corners):
                     return -margin
         return float(apart) - margin
 
@@ -190,11 +188,11 @@ class CollisionScene:
         return tuple(found)
 
 
-def _point_inside(body: Body) -> FloatArray:
+def _point_inside(solid: Solid) -> FloatArray:
     """A point of a shape, in its axes, (3,) [m]."""
-    if len(body.corners):
-        return body.corners[0, 0]
-    return np.array(body.hull.points(0)) if hasattr(body.hull, "points") else np.zeros(3)
+    if len(solid.corners):
+        return solid.corners[0, 0]
+    return np.array(solid.hull.points(0)) if hasattr(solid.hull, "points") else np.zeros(3)
 
 
 def exceeds_limits(robot: Robot, q: FloatArray) -> BoolArray:
@@ -211,11 +209,7 @@ def moving_between(robot: Robot, a: IntArray, b: IntArray) -> IntArray:
 
 
 def all_shapes(robot: Robot) -> CollisionScene:
-    """Return all shapes of a robot, with every pair of shapes that can move relative to each other.
-
-    Raises:
-        DescriptionError: See `calib.motion.shapes.bodies_of`.
-    """
+    """Return all shapes of a robot, with every pair of shapes that can move relative to each other."""
     bodies, remarks = bodies_of(robot)
     frames = np.array([body.joint for body in bodies], dtype=np.intp)
     a, b = np.triu_indices(len(bodies), 1)

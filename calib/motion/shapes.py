@@ -11,6 +11,7 @@ triangles, the hull is the shape.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,6 +36,23 @@ _FLAT = 1e-4  # thickness of a hull without volume [m]
 
 
 @dataclass(frozen=True, eq=False)
+class Solid:
+    """A shape in its own axes.
+
+    Attributes:
+        hull: Convex shape around it.
+        radius: Distance of its farthest point from the origin [m].
+        mesh: Its triangles if it is not convex, else None.
+        corners: Corners of these triangles, (n, 3, 3) [m]; empty if it is convex.
+    """
+
+    hull: Any
+    radius: float = 0.0
+    mesh: Any = None
+    corners: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+
+
+@dataclass(frozen=True, eq=False)
 class Body:
     """A shape on a link.
 
@@ -42,10 +60,7 @@ class Body:
         name: Name of its link, or of the obstacle.
         joint: Index of the link's frame in the mechanism.
         placement: Pose in the link's frame.
-        hull: Convex shape around it.
-        mesh: Its triangles if it is not convex, else None.
-        corners: Corners of these triangles, (n, 3, 3) [m]; empty if it is convex.
-        radius: Distance of its farthest point from the link's origin [m].
+        solid: The shape.
         clearance: Least distance from other shapes [m].
         is_described: Whether it comes from the description: an obstacle, or a part of the tool.
     """
@@ -53,23 +68,14 @@ class Body:
     name: str
     joint: int
     placement: pin.SE3
-    hull: Any
-    mesh: Any
-    corners: FloatArray
-    radius: float
+    solid: Solid
     clearance: float
-    is_described: bool
+    is_described: bool = False
 
-
-@dataclass(frozen=True, eq=False)
-class _Solid:
-    """A shape in its own axes: hull, triangles, and points that span it; `ball` is the radius around each point [m]."""
-
-    hull: Any
-    mesh: Any = None
-    corners: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    points: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
-    ball: float = 0.0
+    @property
+    def radius(self) -> float:
+        """Distance of its farthest point from the link's origin, at most [m]."""
+        return float(np.linalg.norm(self.placement.translation)) + self.solid.radius
 
 
 def bodies_of(robot: RobotData) -> tuple[tuple[Body, ...], tuple[str, ...]]:
@@ -82,19 +88,6 @@ def bodies_of(robot: RobotData) -> tuple[tuple[Body, ...], tuple[str, ...]]:
     """
     links, remarks = _links(robot)
     return (*links, *_described_bodies(robot)), remarks
-
-
-def missing_meshes(robot: RobotData) -> tuple[str, ...]:
-    """Return the missing meshes of the URDF's collision shapes."""
-    named = [
-        shape.file for link in read_links(robot.urdf).values() for shape in link.collisions if shape.kind == "mesh"
-    ]
-    return tuple(name for name in dict.fromkeys(named) if find_mesh(name, robot.urdf.path) is None)
-
-
-def has_collision_shapes(robot: RobotData) -> bool:
-    """Whether the URDF has collision shapes of links."""
-    return b"<collision" in robot.urdf.source and any(link.collisions for link in read_links(robot.urdf).values())
 
 
 def is_moved_frame(robot: RobotData) -> BoolArray:
@@ -111,7 +104,7 @@ def _links(robot: RobotData) -> tuple[list[Body], tuple[str, ...]]:
         by_link = {name: link.visuals for name, link in read.items()}
     frames = robot.mechanism.frames
     bodies = [
-        _body(name, frames[name], shape.placement, _solid_of_link(shape, name, robot, exact=exact), clearance)
+        Body(name, frames[name], shape.placement, _solid_of_link(shape, name, robot, exact=exact), clearance)
         for name, shapes in by_link.items()
         for shape in shapes
     ]
@@ -132,7 +125,7 @@ def _links(robot: RobotData) -> tuple[list[Body], tuple[str, ...]]:
     return bodies, tuple(remarks)
 
 
-def _solid_of_link(shape: LinkShape, link: str, robot: RobotData, *, exact: bool) -> _Solid:
+def _solid_of_link(shape: LinkShape, link: str, robot: RobotData, *, exact: bool) -> Solid:
     if shape.kind != "mesh":
         return _primitive(shape.kind, shape.size)
     path = find_mesh(shape.file, robot.urdf.path)
@@ -154,12 +147,14 @@ def _described_bodies(robot: RobotData) -> list[Body]:
         if section.plane and is_moved_frame(robot)[joint]:
             raise DescriptionError(f"{where}: obstacles.{name}: a plane cannot move with '{section.frame}'; give a box")
         solid = _solid_of_section(section, f"{where}: obstacles.{name}")
-        bodies.append(_body(name, joint, rigid(section.xyz, section.rpy), solid, section.clearance, given=True))
+        bodies.append(Body(name, joint, rigid(section.xyz, section.rpy), solid, section.clearance, is_described=True))
     for name, target in description.targets.items():
         if target.shape is not None:
             place = rigid(target.shape.xyz, target.shape.rpy)
             solid = _solid_of_section(target.shape, f"{where}: targets.{name}.shape")
-            bodies.append(_body(name, mechanism.places[name], place, solid, description.self_clearance, given=True))
+            bodies.append(
+                Body(name, mechanism.places[name], place, solid, description.self_clearance, is_described=True)
+            )
     return bodies
 
 
@@ -170,9 +165,9 @@ def _frame(robot: RobotData, name: str, where: str) -> int:
         raise DescriptionError(f"{robot.path}: {where}: {error}") from None
 
 
-def _solid_of_section(section: ShapeSection, where: str) -> _Solid:
+def _solid_of_section(section: ShapeSection, where: str) -> Solid:
     if section.kind == "plane":
-        return _Solid(coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0))
+        return Solid(coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0))
     if section.kind == "mesh":
         assert section.mesh is not None
         if not Path(section.mesh).is_file():
@@ -182,16 +177,16 @@ def _solid_of_section(section: ShapeSection, where: str) -> _Solid:
     return _primitive(section.kind, size if isinstance(size, tuple) else (size,))
 
 
-def _primitive(kind: str, size: Sequence[float]) -> _Solid:
+def _primitive(kind: str, size: Sequence[float]) -> Solid:
     if kind == "sphere":
-        return _Solid(coal.Sphere(float(size[0])), ball=float(size[0]))
+        return Solid(coal.Sphere(size[0]), size[0])
     if kind == "cylinder":
-        radius, length = map(float, size)
-        return _Solid(coal.Cylinder(radius, length), points=np.array([[radius, 0.0, length / 2]]), ball=0.0)
-    return _Solid(coal.Box(*map(float, size)), points=np.array([size]) / 2)
+        radius, length = size
+        return Solid(coal.Cylinder(radius, length), math.hypot(radius, length / 2))
+    return Solid(coal.Box(*size), math.hypot(*size) / 2)
 
 
-def _solid_of_mesh(path: Path, scale: FloatArray, *, exact: bool) -> _Solid:
+def _solid_of_mesh(path: Path, scale: FloatArray, *, exact: bool) -> Solid:
     import trimesh
 
     try:
@@ -201,20 +196,20 @@ def _solid_of_mesh(path: Path, scale: FloatArray, *, exact: bool) -> _Solid:
             raise ValueError("it holds no triangles")
     except Exception as error:  # the readers of mesh files raise many kinds
         raise DescriptionError(f"{path}: the mesh cannot be read ({str(error).splitlines()[0]:.80})") from None
-    hull, points = _hull(vertices)
+    hull, radius = _hull(vertices)
     whole = trimesh.Trimesh(vertices, faces, process=False)
     if not exact or len(faces) > _MOST_TRIANGLES or whole.is_convex:
-        return _Solid(hull, points=points)
+        return Solid(hull, radius)
     surface = coal.BVHModelOBBRSS()
     surface.beginModel(len(faces), len(vertices))
     surface.addVertices(vertices)
     surface.addTriangles(faces)
     surface.endModel()
-    return _Solid(hull, surface, vertices[faces], points)
+    return Solid(hull, radius, surface, vertices[faces])
 
 
-def _hull(vertices: FloatArray) -> tuple[Any, FloatArray]:
-    """Convex hull of points, and its corners; a box around points in a plane."""
+def _hull(vertices: FloatArray) -> tuple[Any, float]:
+    """Convex hull of points, and the distance of its farthest corner; a box around points in a plane."""
     import scipy
     import trimesh
 
@@ -222,16 +217,10 @@ def _hull(vertices: FloatArray) -> tuple[Any, FloatArray]:
         hull: Any = trimesh.convex.convex_hull(vertices)
     except (scipy.spatial.QhullError, ValueError):
         hull = trimesh.creation.box(bounds=(vertices.min(axis=0) - _FLAT / 2, vertices.max(axis=0) + _FLAT / 2))
-    corners, triangles, points = coal.StdVec_Vec3s(), coal.StdVec_Triangle(), np.array(hull.vertices)
-    corners.extend(list(points))
+    corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    corners.extend(list(hull.vertices))
     triangles.extend([coal.Triangle(*face) for face in hull.faces.tolist()])
-    return coal.Convex(corners, triangles), points
-
-
-def _body(name: str, joint: int, placement: pin.SE3, solid: _Solid, clearance: float, *, given: bool = False) -> Body:
-    radius = float(np.linalg.norm(placement.translation)) + solid.ball
-    radius += float(np.max(np.linalg.norm(solid.points, axis=1)))
-    return Body(name, joint, placement, solid.hull, solid.mesh, solid.corners, radius, clearance, given)
+    return coal.Convex(corners, triangles), float(np.max(np.linalg.norm(hull.vertices, axis=1)))
 
 
 def _capsules(robot: RobotData, link: str) -> list[Body]:
@@ -243,8 +232,8 @@ def _capsules(robot: RobotData, link: str) -> list[Body]:
         if length <= radius and stretches:
             continue
         turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start).matrix()
-        solid = _Solid(coal.Capsule(radius, length), points=np.array([[0.0, 0.0, length / 2]]), ball=radius)
-        bodies.append(_body(link, joint, pin.SE3(turn, (start + end) / 2), solid, robot.description.self_clearance))
+        solid = Solid(coal.Capsule(radius, length), length / 2 + radius)
+        bodies.append(Body(link, joint, pin.SE3(turn, (start + end) / 2), solid, robot.description.self_clearance))
     return bodies
 
 
@@ -269,12 +258,12 @@ def _stretches(robot: RobotData, link: str) -> Iterator[tuple[FloatArray, FloatA
             yield origin, np.array(target.xyz)
 
 
-def is_inside(points: FloatArray, corners: FloatArray) -> bool:
-    """Whether the first of points (n, 3) is inside a closed mesh of triangles (m, 3, 3), by their solid angles.
+def is_inside(point: FloatArray, corners: FloatArray) -> bool:
+    """Whether a point (3,) is inside a closed mesh of triangles (n, 3, 3), by their solid angles.
 
     Reference: oosterom1983.
     """
-    a, b, c = np.moveaxis(corners - points[0], 1, 0)
+    a, b, c = np.moveaxis(corners - point, 1, 0)
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
     volume = np.einsum("ij,ij->i", a, np.cross(b, c))
     below = la * lb * lc + lc * np.einsum("ij,ij->i", a, b)

@@ -54,13 +54,7 @@ class SightLine:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """All lines of sight in a scene.
-
-    Attributes:
-        scene: The shapes.
-        lines: The lines.
-        ignored: Pairs of a line and of a shape that hides it at nearly all poses, by names.
-    """
+    """All lines of sight in a scene; `ignored`: lines and shapes that hide them at nearly all poses, by names."""
 
     scene: CollisionScene
     lines: tuple[SightLine, ...]
@@ -77,10 +71,6 @@ class Sight:
                 yield f"{line.name} turned away"
             for body in self.shapes_hiding(line, ends):
                 yield f"{body} in sight of {line.name}"
-
-    def ends(self, q: FloatArray) -> list[FloatArray]:
-        """Return both ends of each line in a configuration, in the root link, (2, 3) [m] each."""
-        return [ends for _, ends, _ in self._lines_in_root(q)]
 
     def _lines_in_root(self, q: FloatArray) -> Iterator[tuple[SightLine, FloatArray, bool]]:
         """Lines with their ends in the root link, (2, 3) [m], and whether the target is turned away."""
@@ -111,15 +101,17 @@ class Sight:
             if body.name == line.target or (line.name, body.name) in self.ignored:
                 continue
             T = coal.Transform3s(data.oMg[k].rotation, data.oMg[k].translation)
-            if all(_touches(shape, T, beam, place) for shape in (body.hull, body.mesh) if shape is not None):
+            if all(
+                _touches(shape, T, beam, place) for shape in (body.solid.hull, body.solid.mesh) if shape is not None
+            ):
                 yield body.name
 
     def without_ends(self, joints: FloatArray) -> Sight:
         """Return the lines without shapes that hide them in nearly all configurations (n, n_joints), with remarks."""
         count = Counter[tuple[str, str]]()
         for q in joints:
-            for line, ends, _ in list(self._lines_in_root(q)):
-                count.update({(line.name, body) for body in self.shapes_hiding(line, ends)})
+            lines = list(self._lines_in_root(q))  # several of a board have its name
+            count.update({(line.name, body) for line, ends, _ in lines for body in self.shapes_hiding(line, ends)})
         ends_in = frozenset(key for key, n in count.items() if n >= _ALWAYS * len(joints))
         remarks = [
             f"{body} nearly always hides {line}, so it is not checked for that line" for line, body in sorted(ends_in)

@@ -162,7 +162,8 @@ def point_errors(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...
         return far
     every = _studentise(alone, freedom)
     for i in alone.images:
-        far[scene.image == i] = _errors_in_image(scene.image_alone(i), alone.placed.intrinsics, freedom, every)
+        image = scene.select_images(np.arange(len(scene)) == i)
+        far[scene.image == i] = _errors_in_image(image, alone.placed.intrinsics, freedom, every)
     return far
 
 

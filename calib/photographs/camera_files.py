@@ -111,14 +111,10 @@ def _distortion(content: Mapping[str, Any], named: Mapping[str, Any], path: Path
 
 
 def _size(content: Mapping[str, Any], path: Path | str) -> tuple[int, int] | None:
-    pairs, image = (
-        [(content.get(f"{of}width"), content.get(f"{of}height")) for of in ("image_", "")],
-        content.get("image"),
-    )
-    if isinstance(image, (list, tuple)) and len(image) == 2:
-        pairs.append(tuple(image))
-    if isinstance(image, dict):
-        pairs.append((image.get("width"), image.get("height")))
+    image = content.get("image")
+    pairs = [(content.get(f"{of}width"), content.get(f"{of}height")) for of in ("image_", "")]
+    pairs += [tuple(image)] if isinstance(image, list) and len(image) == 2 else []
+    pairs += [(image.get("width"), image.get("height"))] if isinstance(image, dict) else []
     for width, height in pairs:
         if width is not None and height is not None:
             try:

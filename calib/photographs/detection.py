@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count, islice
 from typing import Any
@@ -61,8 +61,8 @@ class DetectedImage:
 
     name: str
     size: tuple[int, int]
-    points: tuple[str, ...]
-    pixels: FloatArray
+    points: tuple[str, ...] = ()
+    pixels: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     remark: str = ""
     edge: float = float("nan")
     mirrored: bool = False
@@ -75,12 +75,7 @@ class DetectedImage:
 
 @dataclass(frozen=True)
 class Detection:
-    """Points of a board detected in a set of images.
-
-    Attributes:
-        board: The board, with the layout that shows most corners.
-        images: Points in each image, in the given order.
-    """
+    """Points of a board, with the layout that shows most corners, detected in each image of a set."""
 
     board: Board
     images: tuple[DetectedImage, ...]
@@ -96,12 +91,11 @@ class Detection:
         return sum(len(image.points) for image in self.usable)
 
 
-def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Iterator[DetectedImage | Detection]:
-    """Find a board in images; yield the detection in each, then the whole set.
+def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Detection:
+    """Return the points of a board detected in images.
 
     A text in place of an image says why the image could not be read. For a ChArUco board with an even number of rows
-    and unknown layout, both layouts are tried. Each image is yielded with the layout that shows more of its corners,
-    and the set with the layout that shows more in all images.
+    and unknown layout, both layouts are tried, and the one that shows more corners in all images is taken.
 
     Raises:
         DescriptionError: There is no such dictionary, or it has too few markers.
@@ -113,7 +107,7 @@ def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Itera
     each: list[list[DetectedImage]] = [[] for _ in layouts]
     for name, image in images:
         if isinstance(image, str):
-            shown = [DetectedImage(name, (0, 0), (), np.zeros((0, 2)), image)] * len(layouts)
+            shown = [DetectedImage(name, (0, 0), remark=image)] * len(layouts)
         else:
             shown = [detector.find(name, image) for detector in detectors]
             if not any(detected.usable or "first_row" in detected.remark for detected in shown):
@@ -123,9 +117,8 @@ def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Itera
                 shown = [ahead.with_remark(shown[0], image)] * len(layouts)
         for of_layout, detected in zip(each, shown, strict=True):
             of_layout.append(detected)
-        yield max(shown, key=lambda detected: len(detected.points))
     best = max(range(len(layouts)), key=lambda k: sum(len(detected.points) for detected in each[k]))
-    yield Detection(detectors[best].board, tuple(_images_of_one_size(each[best])))
+    return Detection(detectors[best].board, tuple(_images_of_one_size(each[best])))
 
 
 def _images_of_one_size(images: Sequence[DetectedImage]) -> Iterator[DetectedImage]:
@@ -158,7 +151,7 @@ class _Detector:
             points = {}  # recognised by chance in a mirrored image
         kept = points_on_one_plane(self.board, points)
         if len(kept) < _FITTING * len(points) and (numbered := self._other_numbering(points)):
-            return DetectedImage(name, (image.shape[1], image.shape[0]), (), np.zeros((0, 2)), numbered)
+            return DetectedImage(name, (image.shape[1], image.shape[0]), remark=numbered)
         if 4 * (len(points) - len(kept)) > len(points) and self._other_columns(image):
             kept = {}
         pixels = np.array(list(kept.values())).reshape(-1, 2)
@@ -210,8 +203,7 @@ class _Detector:
             if self._dictionary:
                 return f"{few}: no marker of {board.dictionary}, but some of {self._dictionary}; correct 'dictionary'"
             return f"{few}: no marker of {board.dictionary}{_light_remark(image)}"
-        strangers = self._strangers(markers)
-        if strangers:
+        if strangers := self._strangers(markers):
             return f"{few}: {strangers}"
         return f"{few} ({count_noun(len(set(markers)), 'marker')}): the board is partly outside, covered or too small"
 
@@ -254,23 +246,22 @@ class _Detector:
     def _other_numbering(self, points: dict[str, FloatArray]) -> str:
         """The correction of the board if markers are numbered from the other side; else empty."""
         other = "bottom" if self.board.first_row == "top" else "top"
-        if self.board.kind not in ("aruco", "apriltag"):
-            return ""
         numbered = self.board.model_copy(update={"first_row": other})
-        if len(points_on_one_plane(numbered, points)) < _FITTING * len(points):
+        if self.board.kind not in ("aruco", "apriltag") or (
+            len(points_on_one_plane(numbered, points)) < _FITTING * len(points)
+        ):
             return ""
         return f"its markers are counted from the {other} row; write first_row: {other} into the board"
 
     def _strangers(self, markers: list[int]) -> str:
         """A sentence on markers in an image that the board does not have; empty if there are none."""
-        board_numbers = marker_numbers(self.board)
-        strange = sorted(set(markers) - set(board_numbers))
+        own = marker_numbers(self.board)
+        strange = sorted(set(markers) - set(own))
         if not strange:
             return ""
         return (
-            f"marker {strange[0]} is in the image, and the board as described has markers {board_numbers[0]} to"
-            f" {board_numbers[-1]}; correct"
-            " columns, rows or first_marker"
+            f"marker {strange[0]} is in the image, and the board as described has markers {own[0]} to {own[-1]};"
+            " correct columns, rows or first_marker"
         )
 
 

@@ -1,13 +1,13 @@
 """Camera, board and lens from photographs, by least squares over all points.
 
 Points have equal weights, or weights by the errors that the points of an image share
-(`calib.photographs.shared_errors`). Shared errors give differences within an image more weight than differences between
+(`calib.photographs.robot_errors`). Shared errors give differences within an image more weight than differences between
 images. This is right if the robot errs, wrong if lens or board are not as modelled, and blind to errors of the robot
 that follow the pose. So callers use such weights only if they predict left-out images better
-(`calib.photographs.hand_eye_calibration`): each image in turn, by a fit of the others.
+(`calib.photographs.hand_eye`): each image in turn, by a fit of the others.
 
 Why. An image of 24 corners has 48 rows, but its robot pose is wrong once. If the rows count as independent, intervals
-(`calib.photographs.intervals`) are several times too narrow, and images near the board, where the robot's error is
+(`calib.photographs.robot_errors`) are several times too narrow, and images near the board, where the robot's error is
 many pixels, outweigh images far from it.
 
 When it fails. Errors of the robot that follow the pose smoothly go into C and M, and no image of the same region shows
@@ -32,7 +32,7 @@ from calib.core.numerics.identifiability import extend_reduced, numerical_rank, 
 from calib.core.numerics.least_squares import minimise
 from calib.core.numerics.linear_model import LinearModel
 from calib.core.numerics.tall import Span
-from calib.photographs.intervals import arm_twists, intervals
+from calib.photographs.robot_errors import ErrorSizes, ImageRows, arm_twists, intervals
 from calib.photographs.scene import (
     POSES,
     BoardScene,
@@ -41,7 +41,6 @@ from calib.photographs.scene import (
     plane_errors_on_board,
     residuals,
 )
-from calib.photographs.shared_errors import ErrorSizes, ImageRows
 
 LITTLE_TURN = np.deg2rad(15)
 """Photographs hardly determine the camera's pose if rotations about the second axis spread less."""

@@ -33,13 +33,14 @@ def camera_words(
     The robot has neither board nor camera yet; `board` and `camera` are the user's options.
     """
     described = read_board_option(_BOARD if board is None else board)
-    given = None if camera is None else read_camera(camera)
-    image = _IMAGE if given is None or given.image is None else given.image
-    if given is None:
-        intrinsics = np.array([_FOCAL, _FOCAL, (image[0] - 1) / 2, (image[1] - 1) / 2, 0, 0, 0, 0, 0])
+    if camera is None:
+        middle_u, middle_v = ((length - 1) / 2 for length in _IMAGE)
+        intrinsics = np.array([_FOCAL, _FOCAL, middle_u, middle_v, 0, 0, 0, 0, 0])
+        image, off = _IMAGE, _OFF_GUESSED * _FOCAL
     else:
-        intrinsics = given.intrinsics
-    off = (_OFF_GUESSED if given is None else _OFF_GIVEN) * intrinsics[0]
+        given = read_camera(camera)
+        intrinsics, image = given.intrinsics, given.image or _IMAGE
+        off = _OFF_GIVEN * intrinsics[0]
     numbers = {name: float(f"{value:.8g}") for name, value in zip(NAMES, intrinsics, strict=True)}
     free = {name: float(f"{off:.2g}") for name in NAMES[:4]} | dict.fromkeys(NAMES[4:6], 0.1)
     middle = np.array([*described.size, 0.0]) / 2

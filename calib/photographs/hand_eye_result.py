@@ -15,8 +15,7 @@ from calib.core.base.words import count_noun, json_file, listing
 from calib.core.instruments.camera import NAMES
 from calib.photographs.estimation import LITTLE_TURN, rms, turning
 from calib.photographs.hand_eye import HandEye
-from calib.photographs.image_coverage import LITTLE_COVERAGE, image_coverage
-from calib.photographs.scene import SIDES, Mount
+from calib.photographs.scene import LITTLE_COVERAGE, SIDES, Mount
 
 FEW = 10  # images; a result of fewer gets CHECK
 _MANY = 0.1  # the photographs are wrong if more than this part of the points was left out
@@ -97,7 +96,7 @@ def judge(result: HandEye) -> HandEyeJudgement:
             f" {quantity_text(axes[1], 'deg', '.0f')} about others: lengths along the first axis are poorly known"
         )
         advice.append("tilt the tool by 20 to 40 deg about two more axes")
-    covered = image_coverage(scene.pixels, scene.size)
+    covered = scene.coverage
     if covered < LITTLE_COVERAGE:
         advice.append(f"bring the board into more of the image (it was seen in {100 * covered:.0f} %)")
         if result.lens_found:
@@ -147,7 +146,7 @@ def report(result: HandEye, frames: Frames) -> str:
             f" board, {rms(result.left_out.pixels):.3f} px in the image (RMS of images left out in turn). With 95 %"
             f" probability, the RMS of as many new images is below {quantity_text(result.limit, 'mm', '.3f')}"
         )
-    errors, by_image = np.linalg.norm(result.board, axis=1), result.rms_by_image(result.pixels)
+    errors, by_image = np.linalg.norm(result.board, axis=1), scene.rms_by_image(result.pixels)
     lines.append(
         f"Images used: {rms(result.pixels):.3f} px RMS; on the board {quantity_text(rms(result.board), 'mm', '.3f')}"
         f" RMS, mean {quantity_text(errors.mean(), 'mm', '.3f')}, largest {quantity_text(errors.max(), 'mm', '.3f')}"
@@ -175,17 +174,15 @@ def report(result: HandEye, frames: Frames) -> str:
             digits = 2 if k < 4 else 4
             numbers.append(f"{NAMES[k]} {fitted.placed.intrinsics[k]:.{digits}f} ± {std:.{digits}f}")
         lines.append(f"  {', '.join(numbers)}")
-    lines += [
-        f"{title}: x {millimetres(pose['x']):.3f} y {millimetres(pose['y']):.3f} z"
-        f" {quantity_text(pose['z'], 'mm', '.3f')},"
-        f" quaternion (x y z w) {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ±"
-        f" {quantity_text(half[key][0], 'mm', '.2f')} along and ± {quantity_text(half[key][1], 'deg', '.3f')} about the"
-        " worst axis, including errors of the robot that depend on its pose"
-        for title, key, pose in (
-            (f"Camera in {frames.parents(scene.mount)[0]}", "camera", transform(fitted.placed.camera)),
-            (f"Board in {frames.parents(scene.mount)[1]}", "board", transform(fitted.placed.board)),
+    for name, above in zip(("camera", "board"), frames.parents(scene.mount), strict=True):
+        pose, (shift, turn) = transform(getattr(fitted.placed, name)), half[name]
+        lines.append(
+            f"{name.capitalize()} in {above}: x {millimetres(pose['x']):.3f} y {millimetres(pose['y']):.3f} z"
+            f" {quantity_text(pose['z'], 'mm', '.3f')},"
+            f" quaternion (x y z w) {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ±"
+            f" {quantity_text(shift, 'mm', '.2f')} along and ± {quantity_text(turn, 'deg', '.3f')} about the worst"
+            " axis, including errors of the robot that depend on its pose"
         )
-    ]
     lines += [f"Next: {text}" for text in judgement.advice]
     return "\n".join(lines)
 
@@ -210,10 +207,8 @@ def content(result: HandEye, frames: Frames) -> dict[str, object]:
     """Return a calibration as data [m, rad, px]."""
     scene, fitted, half = result.scene, result.fitted, result.uncertainty()
     above = frames.parents(scene.mount)
-    images = zip(
-        scene.names, scene.counts, result.rms_by_image(result.pixels), result.rms_by_image(result.left_out.pixels),
-        result.rms_by_image(result.board), result.rms_by_image(result.left_out.board), strict=True,
-    )  # fmt: skip
+    errors = (result.pixels, result.left_out.pixels, result.board, result.left_out.board)
+    images = zip(scene.names, scene.counts, *map(scene.rms_by_image, errors), strict=True)
     return {
         **judge(result).content(),
         "contains": contents(result.contains),
@@ -271,7 +266,7 @@ def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[st
     arguments = [text for key, value in numbers.items() for text in (f"--{key}", value)]
     arguments += ["--frame-id", above, "--child-frame-id", frames.camera]
     hand = mount == "tool"
-    matrix = "\n".join(" ".join(f"{value:.15g}" for value in row) for row in camera)
+    matrix = "".join(" ".join(f"{value:.15g}" for value in row) + "\n" for row in camera)
     namespace = f"/easy_handeye_eye_on_{'hand' if hand else 'base'}/"
     frame_lines = (
         f"  robot_base_frame: {frames.base}\n  robot_effector_frame: {frames.tool}\n"
@@ -279,12 +274,18 @@ def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[st
     )
     inside = "".join(f"  {key}: {number}\n" for key, number in numbers.items())
     return {
-        "camera_matrix.txt": (matrix + "\n").encode(),
+        "camera_matrix.txt": matrix.encode(),
         "static_transform.sh": (
             "#!/bin/sh\n# the camera for ROS 2\n"
             f"exec ros2 run tf2_ros static_transform_publisher {' '.join(arguments)}\n"
         ).encode(),
-        "camera_pose.launch.py": _launch(arguments, hand).encode(),
+        "camera_pose.launch.py": (
+            f'"""The camera {SIDES[mount]}, as MoveIt launches it."""\n\nfrom launch import LaunchDescription\n'
+            "from launch_ros.actions import Node\n\n\n"
+            "def generate_launch_description():\n    return LaunchDescription([\n"
+            '        Node(package="tf2_ros", executable="static_transform_publisher", output="log",\n'
+            f"             arguments={arguments}),\n    ])\n"
+        ).encode(),
         "easy_handeye.yaml": (
             f"parameters:\n  namespace: {namespace}\n  move_group_namespace: /\n  move_group: manipulator\n"
             f"  eye_on_hand: {str(hand).lower()}\n{frame_lines}transformation:\n{inside}"
@@ -296,14 +297,3 @@ def transform_files(camera: FloatArray, mount: Mount, frames: Frames) -> dict[st
             f"  rotation: {{x: {numbers['qx']}, y: {numbers['qy']}, z: {numbers['qz']}, w: {numbers['qw']}}}\n"
         ).encode(),
     }  # fmt: skip
-
-
-def _launch(arguments: list[str], hand: bool) -> str:
-    listing = ", ".join(repr(text) for text in arguments)
-    where = "on the tool" if hand else "beside the robot"
-    return (
-        f'"""The camera {where}, as MoveIt launches it."""\n\nfrom launch import LaunchDescription\n'
-        "from launch_ros.actions import Node\n\n\ndef generate_launch_description():\n    return LaunchDescription([\n"
-        '        Node(package="tf2_ros", executable="static_transform_publisher", output="log",\n'
-        f"             arguments=[{listing}]),\n    ])\n"
-    )

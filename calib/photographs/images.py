@@ -70,8 +70,7 @@ def shots(sources: Sequence[str], topic: str | None = None) -> list[Shot]:
         if is_bag(source):
             result += _read_bag_images(source, topic)
             continue
-        files = _files(source)
-        result += [Shot(Path(file).stem, file) for file in sorted(files, key=_natural)]
+        result += [Shot(Path(file).stem, file) for file in _files(source)]
     seen: dict[str, str] = {}
     for shot in result:
         if shot.name in seen:
@@ -88,20 +87,19 @@ def _files(source: str) -> list[str]:
         files = [str(file) for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
         if not files:
             raise InputError(f"{source}: has no images ({', '.join(SUFFIXES)})")
-        return files
-    if path.exists():
+    elif path.exists():
         return [source]
-    files = [file for file in glob.glob(source, recursive=True) if Path(file).is_file()]  # noqa: PTH207 (any folder)
-    if not files:
-        raise InputError(
-            f"{source}: no such image, folder or bag; give files, a folder or a pattern such as 'shots/*.png'"
-        )
-    return files
+    else:
+        files = [file for file in glob.glob(source, recursive=True) if Path(file).is_file()]  # noqa: PTH207 (any folder)
+        if not files:
+            raise InputError(
+                f"{source}: no such image, folder or bag; give files, a folder or a pattern such as 'shots/*.png'"
+            )
 
+    def with_numbers(file: str) -> list[object]:  # 2 comes before 10
+        return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", Path(file).name)]
 
-def _natural(path: str) -> list[object]:
-    """Sort key by which 2 comes before 10."""
-    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", Path(path).name)]
+    return sorted(files, key=with_numbers)
 
 
 def _read_bag_images(source: str, topic: str | None) -> Iterator[Shot]:
@@ -191,7 +189,8 @@ def with_joints(photographs: Sequence[Shot]) -> list[Shot]:
     return [shot if shot.joints else replace(shot, image=words) for shot in photographs]
 
 
-def joint_columns(shots_used: Sequence[Shot]) -> tuple[list[str], FloatArray]:
-    """Return names and values (n_images, n_joints) of the images' joints; no names if images have none."""
-    names = list(shots_used[0].joints or ()) if shots_used else []
-    return names, np.array([[(shot.joints or {})[name] for name in names] for shot in shots_used])
+def joint_columns(photographs: Sequence[Shot], chosen: Sequence[str]) -> tuple[list[str], FloatArray]:
+    """Return names and values (n_chosen, n_joints) of the chosen images' joints; no names if images have none."""
+    joints = {shot.name: shot.joints or {} for shot in photographs}
+    names = list(joints[chosen[0]])
+    return names, np.array([[joints[image][name] for name in names] for image in chosen])

@@ -1,26 +1,15 @@
 """Mistakes that would explain the residuals of a hand-eye calibration.
 
-    other readings         of the file's numbers; see below
+    other readings         of the file's numbers (`other_readings`)
     square size            the board is larger or smaller than described: fitted as a further unknown
     exchanged              camera and board are where the other mount and inverted poses put them
     something moved        board or camera is elsewhere from some image on: fitted as six further unknowns
     lens as given          fitted intrinsics contradict the given ones
-    principal point        far from the middle of the image: of another or a turned image (`lens_choice.unlikely`)
+    principal point        far from the middle of the image: of another or a turned image (`choices.unlikely`)
 
 Other readings, and another size of the board, are solved anew from closed forms if an image is further off than robots
 are; they count if they halve the residuals. Square size and moves are a further step of the same least squares; they
 count if they raise the likelihood by more than chance does in one data set of ten thousand, and if their size matters.
-
-Other readings, each a usual mistake in files:
-
-    pairs shifted     images belong to the poses one or two rows later or earlier
-    mirrored          the camera mirrors its images (a chessboard does not show it)
-    poses inverted    the file has the base in the tool. With the other mount, the same images fit as well: this shows
-                      only if the mount is stated
-    rotations         the numbers of a rotation in another order, or of the base in the tool
-    units             lengths of poses and board differ by a factor between units
-
-A rotation is converted back to the numbers of the file, which are then read in another way.
 """
 
 from __future__ import annotations
@@ -38,11 +27,11 @@ from calib.core.instruments.camera import NAMES
 from calib.core.numerics.identifiability import extend_reduced
 from calib.core.numerics.linear_model import LinearModel
 from calib.photographs.camera_alone import camera_alone
+from calib.photographs.choices import free_lens, unlikely
 from calib.photographs.estimation import HandEyeEstimate, estimate, left_out_errors, plain, rms, solve
-from calib.photographs.lens_choice import free_lens, unlikely
+from calib.photographs.robot_errors import ErrorSizes, ImageRows
 from calib.photographs.scene import OTHER, SIDES, BoardScene, HandEyePlacement, Mount, residuals
-from calib.photographs.shared_errors import ErrorSizes, ImageRows
-from calib.photographs.starts import image_rms, start
+from calib.photographs.starts import Start, start
 
 _SHIFTS = (1, -1, 2, -2)
 _FEWEST = 4  # images
@@ -50,7 +39,7 @@ _UNITS = (10.0, 0.1, 1000.0, 0.001)
 
 
 def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[tuple[str, str, BoardScene]]:
-    """Yield code and words of a mistake, and the scene with that other meaning of its numbers."""
+    """Yield code and words of a usual mistake in files, and the scene with that other meaning of its numbers."""
     n = len(scene)
     for shift in _SHIFTS:
         pairs = np.arange(n) + shift
@@ -67,7 +56,7 @@ def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[tup
         yield "pairs_shifted", text, replace(scene, tool=tool).select_images(paired)
     mirrored = replace(scene, pixels=scene.pixels * [-1, 1] + [scene.size[0] - 1, 0])
     yield "mirrored", "the images are mirrored; flip them, or switch that off in the camera", mirrored
-    if len(mounts) == 1:
+    if len(mounts) == 1:  # with the other mount, the same images fit as well
         text = "the poses are inverted: the base in the tool, not the tool in the base"
         yield "poses_inverted", text, replace(scene, tool=np.linalg.inv(scene.tool))
     for text, tool in _other_rotations(scene.tool):
@@ -81,7 +70,10 @@ def other_readings(scene: BoardScene, mounts: tuple[Mount, ...]) -> Iterator[tup
 
 
 def _other_rotations(tool: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """Yield a mistake in the rotations in words, and the corrected tool poses, (n, 4, 4)."""
+    """Yield a mistake in the rotations in words, and the corrected tool poses, (n, 4, 4).
+
+    A rotation is converted back to the numbers of the file, which are then read in another way.
+    """
     of = scipy.spatial.transform.Rotation
     read = of.from_matrix(tool[:, :3, :3])
     quaternions, angles = read.as_quat(), read.as_euler("xyz")
@@ -213,7 +205,7 @@ def _other_size(scene: BoardScene, fitted: HandEyeEstimate) -> Iterator[tuple[fl
         f"the board is {100 * abs(change):.0f} % {'larger' if change > 0 else 'smaller'} than described: measure its"
         " squares or markers, and correct its sizes"
     )
-    yield float(np.median(image_rms(scene, placed))), "square_size", text
+    yield Start(scene, placed).typical, "square_size", text
 
 
 def _check_exchange(placed: HandEyePlacement, mount: Mount) -> Mistake | None:
@@ -313,7 +305,7 @@ def _mistakes_of_lens(fitted: HandEyeEstimate, better: HandEyeEstimate, given: F
             f"{NAMES[number]} is given as {given[number]:.{digits}f}, and found as"
             f" {better.placed.intrinsics[number]:.{digits}f} ± {std[k]:.{digits}f}"
         )
-    before, after = (float(np.median(image_rms(fitted.scene, each.placed))) for each in (fitted, better))
+    before, after = (Start(fitted.scene, each.placed).typical for each in (fitted, better))
     text = f"the intrinsics given contradict the photographs: {', '.join(numbers)}{f' ({swap})' if swap else ''}; " + (
         "let them be found (leave out --lens given)" if kept else "those found are used"
     )

@@ -21,10 +21,10 @@ def small_copy(image: GreyImage | str) -> bytes:
     """Return a small copy of an image as JPEG; empty if there is only the reason why it is missing."""
     if isinstance(image, str):
         return b""
-    factor = min(1.0, _WIDTH / image.shape[1])
-    if factor < 1.0:
+    height, width = image.shape
+    if width > _WIDTH:
         cv2 = opencv()
-        size = _WIDTH, max(round(image.shape[0] * factor), 1)
+        size = _WIDTH, max(round(height * (_WIDTH / width)), 1)
         return encode(cv2.resize(image, size, interpolation=cv2.INTER_AREA), ".jpg")
     return encode(image, ".jpg")
 
@@ -43,7 +43,14 @@ def figure(
     radius = max(width, height) / 100
     address = f"data:image/jpeg;base64,{base64.b64encode(small).decode()}"
     marks = "".join(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="{radius:.1f}"/>' for u, v in image.pixels)
-    line = "" if arrows is None else "".join(_arrow(*ends) for ends in zip(image.pixels, arrows, strict=True))
+    lines = (
+        ""
+        if arrows is None
+        else "".join(
+            f'<line x1="{u:.1f}" y1="{v:.1f}" x2="{x:.1f}" y2="{y:.1f}"/>'
+            for (u, v), (x, y) in zip(image.pixels, arrows, strict=True)
+        )
+    )
     first = ""
     if len(image.pixels):
         u, v = image.pixels[0]
@@ -53,14 +60,9 @@ def figure(
         f'<figure><svg viewBox="0 0 {width} {height}" role="img" aria-label="{name}">'
         f'<image href="{address}" width="{width}" height="{height}"/>'
         f'<g fill="none" stroke="#00a2ff" stroke-width="{radius / 2.5:.2f}">{marks}</g>'
-        f'<g stroke="#e0007a" stroke-width="{radius / 2:.2f}">{line}</g>{first}</svg>'
+        f'<g stroke="#e0007a" stroke-width="{radius / 2:.2f}">{lines}</g>{first}</svg>'
         f"<figcaption>{words}</figcaption></figure>"
     )
-
-
-def _arrow(start: FloatArray, end: FloatArray) -> str:
-    (u, v), (x, y) = start, end
-    return f'<line x1="{u:.1f}" y1="{v:.1f}" x2="{x:.1f}" y2="{y:.1f}"/>'
 
 
 def exaggeration(errors: FloatArray, width: int) -> float:

@@ -105,22 +105,11 @@ class PosePairs(ReadOnlyArrays):
     distance: float
     contains: dict[Uncertainty, Contributions]
 
-    @property
-    def is_determined(self) -> bool:
-        """Whether every component of the camera's pose is determined."""
-        return not np.any(self.camera.open)
-
 
 def solve_pairs(
     names: Sequence[str], tool: FloatArray, seen: FloatArray, mounts: tuple[Mount, ...] = ("tool", "base")
 ) -> PosePairs:
-    """Return the poses of camera and marker.
-
-    Args:
-        names: Names of the pairs.
-        tool: The tool in the base, (n, 4, 4) [m].
-        seen: The marker in the camera, (n, 4, 4) [m].
-        mounts: Possible mounts of the camera.
+    """Return the poses of camera and marker, from the tool in the base and the marker seen, (n, 4, 4) [m] each.
 
     Raises:
         DataError: Too few pairs, or equal poses of the tool in all.
@@ -130,9 +119,10 @@ def solve_pairs(
         raise DataError(f"{len(names)} pairs of poses; give at least {LEAST_PAIRS}, better 10 to 20")
     if np.ptp(tool, axis=0).max() < _STEP:
         raise DataError("the tool has one pose in all pairs; give pairs at different poses")
-    left = {mount: _closed_form_residual(tool, seen, mount) for mount in mounts}
+    closed = {mount: _closed_form(tool, seen, mount) for mount in mounts}
+    left = {mount: residual for mount, (residual, *_) in closed.items()}
     mount = min(left, key=lambda each: left[each])
-    inverted = min(_closed_form_residual(tool, np.linalg.inv(seen), each) for each in mounts)
+    inverted = min(_closed_form(tool, np.linalg.inv(seen), each)[0] for each in mounts)
     reasons = []
     if inverted * _MUCH_BETTER < left[mount]:
         reasons.append(
@@ -142,7 +132,7 @@ def solve_pairs(
         reasons.append(
             ("CHECK", f"a camera {SIDES[OTHER[mount]]} fits almost as well; say where it is with --camera-on")
         )
-    robot = _robot(tool, seen, mount)
+    robot = _robot(mount, *closed[mount][1:])
     angles = [-pin.rpy.matrixToRpy(turn.T) for turn in tool[:, :3, :3]]  # of hinges about x, the new y, the newest z
     joints = np.hstack([tool[:, :3, 3], angles])
     values = np.hstack([seen[:, :3, 3], rotation_vectors(seen[:, :3, :3])])
@@ -178,22 +168,19 @@ def solve_pairs(
     )
 
 
-def _links(tool: FloatArray, mount: Mount) -> FloatArray:
-    return tool if mount == "base" else np.linalg.inv(tool)
-
-
-def _closed_form_residual(tool: FloatArray, seen: FloatArray, mount: Mount) -> float:
-    """Root mean square residual of the closed forms, angles times the mean distance of the marker [m]."""
-    links = _links(tool, mount)
+def _closed_form(tool: FloatArray, seen: FloatArray, mount: Mount) -> tuple[float, FloatArray, FloatArray]:
+    """RMS residual of the closed form, angles times the mean distance of the marker [m]; C and M, (4, 4) [m]."""
+    links = tool if mount == "base" else np.linalg.inv(tool)
     camera, marker = solve_poses(links, seen, (np.eye(4), np.eye(4)), (False, False))
     off = np.linalg.inv(seen) @ np.linalg.inv(camera) @ links @ marker
     distance = np.mean(np.linalg.norm(seen[:, :3, 3], axis=1))
     turned = rotation_vectors(off[:, :3, :3])
-    return float(np.sqrt(np.mean(np.sum(off[:, :3, 3] ** 2, axis=1) + distance**2 * np.sum(turned**2, axis=1))))
+    squares = np.sum(off[:, :3, 3] ** 2, axis=1) + distance**2 * np.sum(turned**2, axis=1)
+    return float(np.sqrt(np.mean(squares))), camera, marker
 
 
-def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
-    """The robot that carries the tool, with camera and marker at the closed-form solution."""
+def _robot(mount: Mount, C: FloatArray, M: FloatArray) -> Robot:
+    """The robot that carries the tool, with camera and marker at C and M."""
     links, joints = [f'<link name="{name}"/>' for name in _LINKS], []
     for k, (parent, child) in enumerate(itertools.pairwise(_LINKS)):
         kind, axis = ("prismatic", "revolute")[k // 3], " ".join(str(float(k % 3 == axis)) for axis in range(3))
@@ -202,11 +189,10 @@ def _robot(tool: FloatArray, seen: FloatArray, mount: Mount) -> Robot:
             f'<axis xyz="{axis}"/><limit lower="-1000" upper="1000" effort="0" velocity="0"/></joint>'
         )
     urdf = parse_urdf(f'<robot name="poses">{"".join(links + joints)}</robot>'.encode(), "the tool's poses")
-    places = solve_poses(_links(tool, mount), seen, (np.eye(4), np.eye(4)), (False, False))
     ends = ("tool", "base") if mount == "tool" else ("base", "tool")
     camera, marker = (
         {"frame": end, "xyz": pose[:3, 3].tolist(), "rpy": pin.rpy.matrixToRpy(pose[:3, :3]).tolist()}
-        for end, pose in zip(ends, (np.linalg.inv(places[0]), places[1]), strict=True)
+        for end, pose in zip(ends, (np.linalg.inv(C), M), strict=True)
     )
     content = {
         "urdf": "poses",

@@ -44,12 +44,10 @@ def shapes(board: Board) -> tuple[FloatArray, FloatArray]:
         DescriptionError: There is no such dictionary.
     """
     none = np.zeros((0, 3))
-    if board.kind == "circles":
-        radius = _DOT * (board.spacing or 0.0)
-        return np.zeros((0, 4)), np.array([(x, y, radius) for x, y, _ in board.points().values()])
-    if board.kind == "dots":
-        radii = (board.spacing or 0.0) * np.where(np.arange(board.columns * board.rows) == 0, _LARGE_DOT, _SMALL_DOT)
+    if board.spacing is not None:
         places = np.array(list(board.points().values()))[:, :2]
+        first, others = (_DOT, _DOT) if board.kind == "circles" else (_LARGE_DOT, _SMALL_DOT)
+        radii = board.spacing * np.where(np.arange(len(places)) == 0, first, others)
         return np.zeros((0, 4)), np.column_stack([places, radii])
     if board.kind == "chessboard":
         return _squares(board, lambda i, j: (i + j) % 2 == 0), none
@@ -145,13 +143,10 @@ def page(board: Board, form: str, paper: str | None = None) -> bytes:
     stream = io.BytesIO()
     about = {"Date": None} if form == "svg" else {"CreationDate": None}
     figure.savefig(stream, format=form, metadata=about)
-    return stream.getvalue() if form == "pdf" else _with_size_in_millimetres(stream.getvalue(), sheet)
-
-
-def _with_size_in_millimetres(svg: bytes, sheet: FloatArray) -> bytes:
-    """The page with its size in mm, a unit that every program knows, not in points."""
-    size = 'width="{:g}mm" height="{:g}mm"'.format(*millimetres(sheet))
-    return re.sub(rb'width="[0-9.]+pt" height="[0-9.]+pt"', size.encode(), svg, count=1)
+    if form == "pdf":
+        return stream.getvalue()
+    size = 'width="{:g}mm" height="{:g}mm"'.format(*millimetres(sheet))  # points are known to fewer programs
+    return re.sub(rb'width="[0-9.]+pt" height="[0-9.]+pt"', size.encode(), stream.getvalue(), count=1)
 
 
 def _sheet(paper: str, needed: FloatArray, board: Board) -> FloatArray:

@@ -36,14 +36,9 @@ _PAPER, _INK, _TABLE = 215.0, 35.0, 120.0
 
 @dataclass(frozen=True, eq=False)
 class Photographer:
-    """A camera that takes simulated photographs of a board.
+    """A camera that takes simulated photographs of a board; intrinsics are (9,).
 
-    Attributes:
-        board: The board.
-        intrinsics: (9,).
-        size: Width and height of images [px].
-        blur: Standard deviation of the blur [px].
-        noise: Standard deviation of grey values.
+    Blur [px] and noise of grey values are standard deviations.
     """
 
     board: Board

@@ -33,7 +33,10 @@ from calib.photographs.detection import DetectedImage
 Mount = Literal["tool", "base"]
 SIDES: dict[Mount, str] = {"tool": "on the tool", "base": "beside the robot"}
 OTHER: dict[Mount, Mount] = {"tool": "base", "base": "tool"}
+LITTLE_COVERAGE = 0.4
+"""Part of the image that points must cover; with less, the lens is extrapolated."""
 _CHANGE = 0.01  # reasonable change of a pose [m, rad], and of the size of the board
+_CELLS = 8  # fields of an image, across and down; the board should be seen in each
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,28 +75,33 @@ class BoardScene(ReadOnlyArrays):
         kept = self.with_points(chosen[self.image])
         return replace(kept, names=names, tool=self.tool[chosen], image=(np.cumsum(chosen) - 1)[kept.image])
 
-    def image_alone(self, i: int) -> BoardScene:
-        """Return the scene with one image."""
-        return self.select_images(np.arange(len(self)) == i)
-
     def with_points(self, chosen: BoolArray) -> BoardScene:
         """Return the scene with the chosen points, (m,), and all images."""
         return replace(self, image=self.image[chosen], body=self.body[chosen], pixels=self.pixels[chosen])
-
-    def sums(self, values: FloatArray) -> FloatArray:
-        """Return the sums, (n, ...), of values (m, ...) over the points of each image."""
-        result = np.zeros((len(self), *values.shape[1:]))
-        np.add.at(result, self.image, values)
-        return result
 
     @property
     def counts(self) -> IntArray:
         """Points in each image, (n,)."""
         return np.bincount(self.image, minlength=len(self))
 
+    @property
+    def coverage(self) -> float:
+        """Covered part of the image: fields of 8 x 8 with points, or between such fields along a row or a column."""
+        x, y = np.clip((self.pixels / self.size * _CELLS).astype(int), 0, _CELLS - 1).T
+        seen = np.zeros((_CELLS, _CELLS), dtype=bool)
+        seen[y, x] = True
+
+        def between_true(rows: BoolArray) -> BoolArray:
+            before = np.maximum.accumulate(rows, axis=1)
+            after = np.maximum.accumulate(rows[:, ::-1], axis=1)[:, ::-1]
+            return before & after
+
+        return float(np.mean(seen | (between_true(seen) & between_true(seen.T).T)))
+
     def rms_by_image(self, errors: FloatArray) -> FloatArray:
         """Return the root mean square length of errors (m, 2) in each image, (n,)."""
-        return np.sqrt(self.sums(np.sum(errors**2, axis=1)) / np.maximum(self.counts, 1))
+        squares = np.bincount(self.image, np.sum(errors**2, axis=1), len(self))
+        return np.sqrt(squares / np.maximum(self.counts, 1))
 
 
 def scene_of(detected_images: Sequence[DetectedImage], board: Board, tool: FloatArray) -> BoardScene:

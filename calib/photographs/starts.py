@@ -35,20 +35,18 @@ _SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class Start(ReadOnlyArrays):
-    """First values for a fit of photographs.
-
-    Attributes:
-        scene: The images, with the mount that fits.
-        placed: Approximate poses of camera and board.
-    """
+    """First values for a fit of photographs: the images, with the mount that fits, and camera and board about there."""
 
     scene: BoardScene
     placed: HandEyePlacement
 
     @cached_property
     def rms(self) -> FloatArray:
-        """Root mean square residual of each image, (n,) [px]."""
-        return image_rms(self.scene, self.placed)
+        """Root mean square residual of each image, (n,) [px]; large for a board behind the camera."""
+        errors, behind = residuals(self.scene, self.placed), points_in_camera(self.scene, self.placed)[0][:, 2] <= 0
+        lengths = np.linalg.norm(errors, axis=1)
+        lengths[behind] = np.maximum(lengths[behind], max(self.scene.size))
+        return self.scene.rms_by_image(lengths[:, None])
 
     @property
     def typical(self) -> float:
@@ -97,11 +95,3 @@ def _start(scene: BoardScene, intrinsics: FloatArray, views: FloatArray, usable:
     best = sorted(tried, key=lambda candidate: candidate.typical)[:3]
     improved = [start_at((each.placed.camera, each.placed.board), _STEPS) for each in best]
     return min([whole, *improved], key=lambda candidate: candidate.typical)
-
-
-def image_rms(scene: BoardScene, placed: HandEyePlacement) -> FloatArray:
-    """Return the root mean square residual of each image, (n,) [px]; large for a board behind the camera."""
-    errors, behind = residuals(scene, placed), points_in_camera(scene, placed)[0][:, 2] <= 0
-    lengths = np.linalg.norm(errors, axis=1)
-    lengths[behind] = np.maximum(lengths[behind], max(scene.size))
-    return scene.rms_by_image(lengths[:, None])

@@ -62,7 +62,12 @@ def read_tool_poses(
     table = read_table(path, {} if robot is None else robot.description.columns)
     names = image_names(table)
     if robot is not None:
-        return names, _tool_poses_from_joints(table, robot)
+        missing = next((name for name in robot.joint_names if name not in table.names), None)
+        if missing is not None:
+            raise DataError(table.lacks(missing))
+        dimensions = robot.mechanism.dimensions
+        joints = np.stack([table.column(name, dimensions[name]) for name in robot.joint_names], axis=1)
+        return names, robot.forward(joints)
     places = pose_columns(table)
     if len(places) > 1:
         raise DataError(f"{path}: holds several poses ({', '.join(places)}); keep the tool's alone")
@@ -118,7 +123,24 @@ def poses_of(table: Table, place: PoseColumns, angles: str | None = None) -> Flo
     """Return poses of a table, (n, 4, 4) [m]; for `angles` and errors see `read_tool_poses`."""
     poses = np.tile(np.eye(4), (len(table.lines), 1, 1))
     poses[:, :3, 3] = np.stack([table.column(name, "length") for name in place.position], axis=1)
-    poses[:, :3, :3] = _rotations(table, place.rotation, place.form, angles)
+    names, form = place.form, _FORMS.get(place.form, "rotation_vector")  # for rx, ry, rz, tvec and rvec
+    if names == ("rx", "ry", "rz"):
+        if angles is None:
+            raise DataError(
+                f"{table.path}: rx, ry, rz may be a rotation vector (Universal Robots) or angles about x, y, z;"
+                " say which: --angles rotvec or --angles rpy"
+            )
+        form = form if angles == "rotvec" else "rpy"
+    dimension: Dimension | None = None if form in ("quaternion", "matrix") else "angle"
+    numbers = np.stack([table.column(name, dimension) for name in place.rotation], axis=1)
+    numbers = np.roll(numbers, -1, axis=1) if names[0] == "q1" else numbers
+    bad, what = not_rotations(form, numbers, _TYPED if form == "quaternion" else 2 * _TYPED)
+    if len(bad):
+        raise DataError(
+            f"{table.path}, line {table.lines[bad[0]]}: {names[0]} to {names[-1]} are not {what}; write more digits, or"
+            " correct it"
+        )
+    poses[:, :3, :3] = rotations_of(form, numbers).as_matrix()
     return poses
 
 
@@ -141,47 +163,19 @@ def image_names(table: Table) -> list[str]:
     return names
 
 
-def _rotations(table: Table, columns: Sequence[str], names: tuple[str, ...], angles: str | None) -> FloatArray:
-    form = _FORMS.get(names, "rotation_vector")  # for rx, ry, rz, tvec and rvec
-    if names == ("rx", "ry", "rz"):
-        if angles is None:
-            raise DataError(
-                f"{table.path}: rx, ry, rz may be a rotation vector (Universal Robots) or angles about x, y, z;"
-                " say which: --angles rotvec or --angles rpy"
-            )
-        form = form if angles == "rotvec" else "rpy"
-    dimension: Dimension | None = None if form in ("quaternion", "matrix") else "angle"
-    numbers = np.stack([table.column(name, dimension) for name in columns], axis=1)
-    numbers = np.roll(numbers, -1, axis=1) if names[0] == "q1" else numbers
-    bad, what = not_rotations(form, numbers, _TYPED if form == "quaternion" else 2 * _TYPED)
-    if len(bad):
-        raise DataError(
-            f"{table.path}, line {table.lines[bad[0]]}: {names[0]} to {names[-1]} are not {what}; write more digits, or"
-            " correct it"
-        )
-    return rotations_of(form, numbers).as_matrix()
-
-
-def _tool_poses_from_joints(table: Table, robot: Robot) -> FloatArray:
-    """Poses of the first target's frame by the robot's kinematics, (n, 4, 4)."""
-    missing = next((name for name in robot.joint_names if name not in table.names), None)
-    if missing is not None:
-        raise DataError(table.lacks(missing))
-    joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
-    return robot.forward(joints)
-
-
-def match_images(seen: Sequence[str], names: Sequence[str], where: str) -> tuple[list[int], list[str]]:
-    """Return the row of each image with a board, and a remark on every image without a row; `where` names the rows.
+def poses_of_images(
+    seen: Sequence[str], path: Path | str, *, robot: Robot | None, angles: str | None
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """Return the tool at each image that has a row, (4, 4) [m], in the order of the rows, and remarks on the others.
 
     Raises:
-        DataError: No image has a row.
+        DataError: No image has a row; or see `read_tool_poses`.
     """
-    row = {name: k for k, name in enumerate(names)}
-    remarks = [f"{name}: {where} has no pose of this image{nearest(name, names)}" for name in seen if name not in row]
+    names, tool = read_tool_poses(path, robot=robot, angles=angles)
+    remarks = [f"{name}: {path} has no pose of this image{nearest(name, names)}" for name in seen if name not in names]
     if len(remarks) == len(seen):
         raise DataError(
-            f"{where}: no row names any of the photographs ({', '.join(list(seen)[:3])}, ...); its rows are called"
-            f" {', '.join(list(names)[:3])}, ..."
+            f"{path}: no row names any of the photographs ({', '.join(list(seen)[:3])}, ...); its rows are called"
+            f" {', '.join(names[:3])}, ..."
         )
-    return [row[name] for name in seen if name in row], remarks
+    return {name: pose for name, pose in zip(names, tool, strict=True) if name in set(seen)}, remarks

@@ -40,15 +40,13 @@ from calib.core.rows.unknowns import Unknowns
 from calib.planning.exchange import Spacing, exchange, uniform_start
 from calib.planning.pose_sampling import sample
 from calib.planning.predicted_error import TaskIndex, task_index
-from calib.planning.selection_problem import TASK, build_problem
-from calib.planning.selection_scores import observability_of
+from calib.planning.selection_problem import TASK, build_problem, observability_of
 from calib.shared.candidates import (
     WHITENED,
     assumed_sigma,
     positions_at,
     require_free,
     rows_as_stated,
-    rows_of_measured,
     rows_of_poses,
 )
 from calib.shared.null_space import UnseenGroup, null_groups
@@ -233,10 +231,10 @@ def check(
     known = information(unit, priors)
     order = robot.parameters.places(robot.description.elimination_order)
     elimination, held = eliminate(determined.columns, order), tuple(map(int, np.flatnonzero(~free)))
-    if task is None:
-        positions, task_rows = positions_at(robot, configurations)
-    else:
-        _, positions, task_rows = rows_of_measured(robot, task, sigma)
+    where = configurations
+    if task is not None:
+        where = robot.assemble(task.joints, labels=task.labels, context=task.conditions)
+    positions, task_rows = positions_at(robot, where)
     task_rows = task_rows / lengths[free]
     errors = known.position_errors(task_rows)
     without_common = known.position_errors(without_common_motion(positions[:, robot.reported_targets], task_rows))
@@ -312,9 +310,7 @@ class CountRow:
     chosen: TaskIndex | None
 
 
-def accuracy_by_count(
-    rows: FloatArray, priors: FloatArray, task_rows: FloatArray, counts: tuple[int, ...] | None = None
-) -> tuple[CountRow, ...]:
+def accuracy_by_count(rows: FloatArray, priors: FloatArray, task_rows: FloatArray) -> tuple[CountRow, ...]:
     """Predict the accuracy for several numbers of poses.
 
     Args:
@@ -322,7 +318,6 @@ def accuracy_by_count(
         priors: Prior rows, (n_priors, n_parameters).
         task_rows: Scaled derivative of positions at the poses whose accuracy counts, (n_task, 3 n_targets,
             n_parameters) [m].
-        counts: Numbers of poses, at most those given; chosen automatically by default.
 
     Returns:
         A row for each number that determines as much as all poses do.
@@ -336,12 +331,11 @@ def accuracy_by_count(
     strengths = linalg.singular_values(rows[candidates])
     of_a_pose = max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))  # directions, at most
     least = max(1, -(-rank_left // of_a_pose))
-    if counts is None:
-        counts = tuple(int(m) for m in np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))))
+    counts = np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))).astype(int).tolist()
     space = Spacing.free(np.ones(len(candidates), dtype=bool))
     table = []
     for count in counts:
-        uniform = _accuracy(rows[uniform_start(np.arange(n), count)], priors, task_rows, 1.0)
+        uniform = _accuracy(rows[uniform_start(np.arange(n), count)], priors, task_rows)
         chosen = uniform if count == n else None
         if count < n and count <= _MOST_CHOSEN:
             start = uniform_start(np.arange(len(candidates)), count)
@@ -349,12 +343,11 @@ def accuracy_by_count(
                 best = candidates[exchange(problem, TASK, start, space).chosen]
             except NotIdentifiableError:  # too few to determine as much as all poses do
                 continue
-            chosen = _accuracy(rows[best], priors, task_rows, 1.0)
+            chosen = _accuracy(rows[best], priors, task_rows)
         table.append(CountRow(count, uniform, chosen))
-    for times in _BEYOND:
-        table.append(CountRow(times * n, None, _accuracy(rows, priors, task_rows, float(times))))
-    return tuple(table)
+    several = [CountRow(times * n, None, _accuracy(np.sqrt(times) * rows, priors, task_rows)) for times in _BEYOND]
+    return (*table, *several)
 
 
-def _accuracy(rows: FloatArray, priors: FloatArray, task_rows: FloatArray, times: float) -> TaskIndex:
-    return task_index(information(np.sqrt(times) * rows, priors).position_errors(task_rows))
+def _accuracy(rows: FloatArray, priors: FloatArray, task_rows: FloatArray) -> TaskIndex:
+    return task_index(information(rows, priors).position_errors(task_rows))

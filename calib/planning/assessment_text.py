@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 
 from calib.core.base.parameter import Parameter
@@ -24,19 +25,18 @@ from calib.shared.null_space import UnseenGroup, describe_group, natural_coeffic
 _SHOWN = 12  # names in a list
 _FEW = 4  # names in the short answer
 _LINES = 3  # lines of groups in the short answer
+_WIDTH = 120  # characters
 _MANY_POSITIONS = 6  # with fewer positions, almost any errors of a robot look like a motion of one body
 _MOSTLY_COMMON = 0.5  # the error without a common motion is printed if it is below this part of the whole
 
 
-def text_report(assessment: Assessment, source: str, width: int = 120, *, verbose: bool = False) -> str:
+def text_report(assessment: Assessment, source: str, *, verbose: bool = False) -> str:
     """Return an assessment of poses from a source, in words, as text; at most 40 lines unless `verbose`."""
-    lines, names = (None, _SHOWN) if verbose else (_LINES, _FEW)
-    parts: list[str | Table] = [_heading(assessment, source), *_verdict(assessment, lines, width)]
-    counts: list[str | Table] = ["", _counts(assessment)] if assessment.accuracy.maximum else []
-    parts += [*_accuracy(assessment), *counts, *assessment.determination.lines(), ""]
-    parts += [*_groups(assessment, lines, width), ""]
+    parts: list[str | Table] = [_heading(assessment, source), *_verdict(assessment, verbose), *_accuracy(assessment)]
+    parts += ["", _counts(assessment)] if assessment.accuracy.maximum else []
+    parts += [*assessment.determination.lines(), "", *_groups(assessment, verbose), ""]
     parts += [_observability(assessment), _parameters(assessment)] if verbose else []
-    return plain_text([*parts, *_doubts(assessment, names)], width, wrap=True).rstrip()
+    return plain_text([*parts, *_doubts(assessment, verbose)], _WIDTH, wrap=True).rstrip()
 
 
 def to_dict(assessment: Assessment) -> dict[str, object]:
@@ -52,7 +52,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
             "rank_all": _rank(a.rank_all),
             "rank_free": _rank(a.rank_free),
             "rank_with_priors": a.determination.together.rank,
-            "held": [name for name, free in zip(names, a.free, strict=True) if not free],
+            "held": _held(a),
             "groups": [_group(a, k) for k in range(len(a.groups))],
             "undetermined": [
                 [a.free_parameters[member].name for member in group.members] for group in a.undetermined_groups
@@ -82,13 +82,21 @@ def _heading(a: Assessment, source: str) -> str:
     return f"{count_noun(a.n_poses, 'pose')} ({source}), {a.n_rows} measured values{noise}"
 
 
-def _verdict(a: Assessment, most: int | None, width: int) -> list[str]:
-    held = [parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free]
-    lines = [f"Held at nominal: {', '.join(held) if most is None else listing(held, shown=_SHOWN)}"] if held else []
+def _held(a: Assessment) -> list[str]:
+    return [parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free]
+
+
+def _listed(names: Sequence[str], verbose: bool) -> str:
+    return ", ".join(names) if verbose else listing(names, shown=_SHOWN)
+
+
+def _verdict(a: Assessment, verbose: bool) -> list[str]:
+    held = _held(a)
+    lines = [f"Held at nominal: {_listed(held, verbose)}"] if held else []
     lines.append(sentence(a.determination.words()))
     if a.determination.missing:
         lines.append("Hold one of each of these, or add other poses:")
-        lines += _groups_in_words(a.undetermined_groups, a.free_parameters, most, width)
+        lines += _groups_in_words(a.undetermined_groups, a.free_parameters, verbose)
     if a.near_singular:
         lines.append(
             f"Warning: {count_noun(len(a.near_singular), 'pose')} near a singularity of the loops:"
@@ -97,37 +105,27 @@ def _verdict(a: Assessment, most: int | None, width: int) -> list[str]:
     return lines
 
 
-def _groups_in_words(
-    groups: Sequence[UnseenGroup], parameters: Sequence[Parameter], most: int | None, width: int
-) -> list[str]:
-    """Groups in words, limited to `most` lines (None: all), with the number of omitted groups."""
+def _groups_in_words(groups: Sequence[UnseenGroup], parameters: Sequence[Parameter], verbose: bool) -> list[str]:
+    """Groups in words, in few lines unless `verbose`, with the number of omitted groups."""
     single = [parameters[group.members[0]].name for group in groups if len(group.members) == 1]
     alone = [f"  {', '.join(single)} {'has' if len(single) == 1 else 'have'} no effect"] if single else []
     texts = [describe_group(group, parameters) for group in groups if len(group.members) > 1]
-    shown, used = list[str](), 0
-    for text in texts:
-        used += -(-(len(text) + 2) // (width - 4))
-        if most is not None and used > most:
-            break
-        shown.append(f"  {text}")
-    more = len(texts) - len(shown)
+    used = np.cumsum([-(-(len(text) + 2) // (_WIDTH - 4)) for text in texts])
+    n_shown = len(texts) if verbose else int(np.sum(used <= _LINES))
+    more = len(texts) - n_shown
+    shown = [f"  {text}" for text in texts[:n_shown]]
     return [*alone, *shown, *([f"  {count_noun(more, 'more group')} with --verbose"] if more else [])]
 
 
-def _groups(a: Assessment, most: int | None, width: int) -> list[str]:
-    """Groups of parameters that these poses cannot tell apart: all, or at most `most` lines."""
+def _groups(a: Assessment, verbose: bool) -> list[str]:
+    """Groups of parameters that these poses cannot tell apart."""
     if not a.groups:
         return ["Every combination of the parameters shows in the readings."]
-    lines = ["These poses cannot tell apart:"]
-    lines += _groups_in_words(a.groups, a.parameters, most, width)
     dropped = [a.parameters[k].name for k in a.elimination.dropped]
-    names = ", ".join(dropped) if most is None else listing(dropped, shown=_SHOWN)
-    lines.append(f"To determine the rest, hold {names} (condition number {a.elimination.conditions[-1]:.0f})")
-    if {a.parameters[k].name for k in a.elimination.dropped} == {
-        parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free
-    }:
-        lines[-1] += "; these are held"
-    return lines
+    hold = f"To determine the rest, hold {_listed(dropped, verbose)}"
+    hold += f" (condition number {a.elimination.conditions[-1]:.0f})"
+    hold += "; these are held" if set(dropped) == set(_held(a)) else ""
+    return ["These poses cannot tell apart:", *_groups_in_words(a.groups, a.parameters, verbose), hold]
 
 
 def _observability(a: Assessment) -> Table:
@@ -150,10 +148,10 @@ def _parameters(a: Assessment) -> Table:
     return table
 
 
-def _doubts(a: Assessment, most: int) -> list[str]:
-    pairs, weak = a.correlated_pairs(), a.hardly_known()
-    correlated = [f"{first} with {second} {r:+.4f}" for first, second, r in pairs]
-    names = [name if not math.isfinite(part) else f"{name} ({100 * part:.0f} %)" for name, part in weak]
+def _doubts(a: Assessment, verbose: bool) -> list[str]:
+    most = _SHOWN if verbose else _FEW
+    correlated = [f"{first} with {second} {r:+.4f}" for first, second, r in a.correlated_pairs()]
+    names = [f"{name} ({100 * part:.0f} %)" if math.isfinite(part) else name for name, part in a.hardly_known()]
     return [
         f"Correlations above {CORRELATION_LIMIT:g}: {listing(correlated, shown=most) if correlated else 'none'}",
         f"Hardly improved by these poses (more than {100 * HARDLY:.0f} % of the expected error is left):"
@@ -165,9 +163,8 @@ def _counts(a: Assessment) -> Table:
     headers = ("poses", "uniform: RMS", "max", "best of these: RMS", "max")
     table = text_table(headers, title="Predicted position error against number of poses, mm")
     for row in a.by_count:
-        uniform, chosen = (("-", "-") if task is None else _pair(task) for task in (row.uniform, row.chosen))
         times = f" ({row.count // a.n_poses}x all)" if row.count > a.n_poses else ""
-        table.add_row(f"{row.count}{times}", *uniform, *chosen)
+        table.add_row(f"{row.count}{times}", *_cells(row.uniform), *_cells(row.chosen))
     return table
 
 
@@ -189,15 +186,15 @@ def _accuracy(a: Assessment) -> list[str]:
             "Most of this error moves all positions as one body, as an unknown place of the base does. Without that"
             f" part, positions at these poses are known to {quantity_text(a.rms_without_common, 'mm', '.4f')} RMS."
         )
-    return lines + (
-        [f"Not counted: {listing(a.left_out)} (only instruments at unknown places see it)."] if a.left_out else []
-    )
+    if a.left_out:
+        lines.append(f"Not counted: {listing(a.left_out)} (only instruments at unknown places see it).")
+    return lines
 
 
-def _pair(task: TaskIndex) -> tuple[str, str]:
-    return tuple(
-        f"{millimetres(value):.4f}" if math.isfinite(value) else "unbounded" for value in (task.rms, task.maximum)
-    )  # type: ignore[return-value]
+def _cells(task: TaskIndex | None) -> list[str]:
+    """Root mean square and largest error in mm."""
+    values = () if task is None else (task.rms, task.maximum)
+    return [f"{millimetres(value):.4f}" if math.isfinite(value) else "unbounded" for value in values] or ["-", "-"]
 
 
 def _task(task: TaskIndex | None) -> dict[str, object] | None:

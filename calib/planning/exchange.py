@@ -20,9 +20,8 @@ import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import NotIdentifiableError
-from calib.planning.rank_three_scores import Scores
 from calib.planning.selection_problem import TASK, SelectionProblem
-from calib.planning.selection_scores import scores
+from calib.planning.selection_scores import Scores, scores
 
 _RISE = 1e-10
 """Least relative rise of an index; a smaller rise is rounding."""
@@ -101,15 +100,29 @@ class Exchange:
 
     Attributes:
         chosen: Mask of the chosen candidates, (n_candidates,).
-        scores: Scores of the choice.
-        history: Exchanges as (added, removed) pairs, after (-1, -1) for the start.
-        values: Score after each entry of `history`; NaN while the choice did not determine enough.
+        values: Score at the start and after each exchange; NaN while the choice did not determine enough.
+        history: Exchanges as (added, removed) pairs.
     """
 
     chosen: BoolArray
     scores: Scores
-    history: tuple[tuple[int, int], ...]
     values: tuple[float, ...]
+    history: tuple[tuple[int, int], ...] = ()
+
+    @staticmethod
+    def begin(scores: Scores, chosen: BoolArray) -> Exchange:
+        """Return a choice (n_candidates,) before any exchange."""
+        return Exchange(chosen, scores, (scores.value,))
+
+    def after_exchange(self, added: int, removed: int, scores: Scores) -> Exchange:
+        """Return the choice with these scores after a further exchange."""
+        chosen = self.chosen.copy()
+        chosen[added], chosen[removed] = True, False
+        return Exchange(chosen, scores, (*self.values, scores.value), (*self.history, (added, removed)))
+
+    def exceeds(self, other: Exchange) -> bool:
+        """Whether the score of this choice is larger by more than rounding."""
+        return self.scores.value > other.scores.value + _RISE * abs(other.scores.value)
 
 
 def uniform_start(usable: IntArray, count: int) -> IntArray:
@@ -128,63 +141,50 @@ def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Sp
     chosen = np.zeros(len(problem), dtype=bool)
     chosen[start] = True
     if problem.is_determined_by(chosen):
-        return _climb(scores(problem, index, chosen), chosen, spacing)
+        return _climb(Exchange.begin(scores(problem, index, chosen), chosen), spacing)
     # every index is zero here: first climb with a tiny prior
-    helped = _climb(scores(problem, "O1", chosen, _RIDGE), chosen, spacing)
+    helped = _climb(Exchange.begin(scores(problem, "O1", chosen, _RIDGE), chosen), spacing)
     if not problem.is_determined_by(helped.chosen):
         raise NotIdentifiableError(
             f"all candidates together determine {problem.pose_information.rank.rank} combinations of parameters; no"
             f" choice of {len(start)} poses was found that determines as many: choose more poses, or hold parameters"
         )
-    final = _climb(scores(problem, index, helped.chosen), helped.chosen, spacing)
+    final = _climb(Exchange.begin(scores(problem, index, helped.chosen), helped.chosen), spacing)
     nothing = -np.inf if index in ("O1", TASK) else 0.0
-    values = (nothing, *[np.nan] * (len(helped.values) - 2), *final.values) if len(helped.values) > 1 else final.values
-    return replace(final, history=helped.history + final.history[1:], values=values)
+    unknown = (nothing, *[np.nan] * (len(helped.history) - 1)) if helped.history else ()
+    return replace(final, history=helped.history + final.history, values=unknown + final.values)
 
 
-def _climb(state: Scores, chosen: BoolArray, spacing: Spacing) -> Exchange:
-    chosen = chosen.copy()
-    history, values = [(-1, -1)], [state.value]
-    while True:
-        allowed = spacing.is_allowed(chosen)
-        if not np.any(allowed):
+def _climb(done: Exchange, spacing: Spacing) -> Exchange:
+    while np.any(allowed := spacing.is_allowed(done.chosen)):
+        added = done.scores.best_move(allowed, add=True)
+        larger = done.scores.after_move(added, add=True)
+        removable = done.chosen & spacing.is_same_kind(added)
+        removable[added] = True
+        removed = larger.best_move(removable, add=False)
+        if removed == added:
             break
-        added = state.best_move(allowed, add=True)
-        larger = state.after_move(added, add=True)
-        chosen[added] = True
-        removed = larger.best_move(chosen & spacing.is_same_kind(added), add=False)
-        chosen[removed] = False
-        after = larger.after_move(removed, add=False) if removed != added else state
-        if after.value <= state.value + _RISE * abs(state.value):
-            chosen[removed], chosen[added] = True, False
+        after = done.after_exchange(added, removed, larger.after_move(removed, add=False))
+        if not after.exceeds(done):
             break
-        state = after
-        history.append((added, removed))
-        values.append(state.value)
-    return Exchange(chosen, state, tuple(history), tuple(values))
+        done = after
+    return done
 
 
 def swap(done: Exchange, spacing: Spacing) -> Exchange:
     """Improve a choice until no single swap raises the index; a pose that alone determines a direction stays."""
-    chosen, state = done.chosen.copy(), done.scores
-    history, values = list(done.history), list(done.values)
     for _ in range(_MAX_PASSES):
-        before = state.value
-        for removed in np.flatnonzero(chosen):
-            if not state.spares(np.array([removed]))[0]:
+        before = done
+        for removed in np.flatnonzero(done.chosen).tolist():
+            if not done.scores.spares(np.array([removed]))[0]:
                 continue
-            chosen[removed] = False
-            smaller = state.after_move(int(removed), add=False)
+            smaller, rest = done.scores.after_move(removed, add=False), done.chosen.copy()
+            rest[removed] = False
             # the removed candidate is allowed, so there is one
-            added = smaller.best_move(spacing.is_allowed(chosen) & spacing.is_same_kind(int(removed)), add=True)
-            after = smaller.after_move(added, add=True) if added != removed else state
-            if after.value <= state.value + _RISE * abs(state.value):
-                chosen[removed] = True
-                continue
-            chosen[added] = True
-            state = after
-            history.append((added, int(removed)))
-            values.append(state.value)
-        if state.value <= before + _RISE * abs(before):
+            added = smaller.best_move(spacing.is_allowed(rest) & spacing.is_same_kind(removed), add=True)
+            if added != removed:
+                after = done.after_exchange(added, removed, smaller.after_move(added, add=True))
+                done = after if after.exceeds(done) else done
+        if not done.exceeds(before):
             break
-    return Exchange(chosen, state, tuple(history), tuple(values))
+    return done

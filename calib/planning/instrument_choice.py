@@ -46,15 +46,7 @@ class Groups:
 
 
 def groups_of(robot: Robot, instruments: str | Sequence[str], count: int | Mapping[str, int]) -> Groups:
-    """Return the groups of instruments to choose among.
-
-    Args:
-        instruments: `ALL`, `EACH`, or the groups: names of instruments, joined by `+` if they read together.
-        count: Number of poses, or a number by the name of each group.
-
-    Raises:
-        InputError: An unknown instrument, a repeated group, or groups in both arguments.
-    """
+    """Return the groups of instruments to choose among; see `calib.planning.selection.select` for the arguments."""
     names = tuple(instrument.name for instrument in robot.instruments)
     if isinstance(count, Mapping):
         if instruments != ALL:

@@ -7,7 +7,7 @@ The time between two poses is about that of the joint with the longest travel, s
 The shortest open path from home through all poses is a travelling-salesman problem. A path that always goes to the
 nearest next pose is shortened by 2-opt (reverse a piece) and or-opt (move a piece of up to three poses), until neither
 helps. The result is usually within a few percent of the shortest, which is enough, since the path does not change the
-measurement.
+measurement. Poses are (n, n_actuated), and home is (n_actuated,) [m or rad].
 
 Reference: croes1958; or1976.
 """
@@ -23,39 +23,21 @@ _LONGEST_PIECE = 3
 _IMPROVED = 1000  # largest number of poses for which the path is improved
 
 
-def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
-    """Return the length of a path from home through the poses [joint ranges].
-
-    Args:
-        joints: Poses, (n, n_actuated) [m or rad].
-        home: Start of the path, (n_actuated,) [m or rad].
-        order: Poses in the order of visiting, (n,).
-    """
-    points = _points(joints, home)
-    path = np.concatenate([[0], np.asarray(order, dtype=np.intp) + 1])
-    return float(np.sum(np.max(np.abs(np.diff(points[path], axis=0)), axis=1)))
+def travel(joints: FloatArray, home: FloatArray) -> float:
+    """Return the length of a path from home (n_actuated,) through poses (n, n_actuated) in turn [joint ranges]."""
+    return float(np.sum(np.max(np.abs(np.diff(_points(joints, home), axis=0)), axis=1)))
 
 
 def distances_from(joints: FloatArray, start: FloatArray) -> FloatArray:
-    """Return the distance of each pose from the present pose of the robot, (n,) [joint ranges].
-
-    Args:
-        joints: Poses, (n, n_actuated) [m or rad].
-        start: Present joint values of the robot, (n_actuated,) [m or rad].
-    """
+    """Return the distances of poses (n, n_actuated) from joint values (n_actuated,), (n,) [joint ranges]."""
     points = _points(joints, start)
     return np.asarray(np.max(np.abs(points[1:] - points[0]), axis=1))
 
 
 def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> IntArray:
-    """Return an order of visiting that is short and goes block by block, (n,).
+    """Return a short order of poses (n, n_actuated) from home (n_actuated,) that goes block by block, (n,).
 
-    A block is measured without a change by hand, such as of an instrument or its place.
-
-    Args:
-        joints: Poses, (n, n_actuated) [m or rad].
-        home: Start of the path, (n_actuated,) [m or rad].
-        block: Number of the block of each pose, (n,), ascending in the order of measurement.
+    Blocks (n,) ascend in the order of measurement. Between them something is changed by hand, such as an instrument.
     """
     order, start = [], home
     for number in np.unique(block):
@@ -66,19 +48,13 @@ def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> In
 
 
 def shortest_order(joints: FloatArray, home: FloatArray) -> IntArray:
-    """Return a short order of visiting, (n,).
-
-    Args:
-        joints: Poses, (n, n_actuated) [m or rad].
-        home: Start of the path, (n_actuated,) [m or rad].
-    """
+    """Return a short order of poses (n, n_actuated) from home (n_actuated,), (n,)."""
     points = _points(joints, home)
     gaps = np.max(np.abs(points[:, None] - points[None]), axis=2)
     path = _nearest_first(gaps)
     while len(joints) <= _IMPROVED:
         shorter = _reverse_piece(path, gaps)
-        if shorter is None:
-            shorter = _move_piece(path, gaps)
+        shorter = _move_piece(path, gaps) if shorter is None else shorter
         if shorter is None:
             break
         path = shorter
@@ -92,13 +68,11 @@ def _points(joints: FloatArray, home: FloatArray) -> FloatArray:
 
 
 def _nearest_first(gaps: FloatArray) -> IntArray:
-    n = len(gaps)
-    path, left = [0], np.ones(n, dtype=bool)
-    left[0] = False
-    while np.any(left):
-        rest = np.flatnonzero(left)
-        path.append(int(rest[np.argmin(gaps[path[-1], rest])]))
-        left[path[-1]] = False
+    path, left = [0], np.arange(1, len(gaps))
+    while len(left):
+        nearest = np.argmin(gaps[path[-1], left])
+        path.append(int(left[nearest]))
+        left = np.delete(left, nearest)
     return np.array(path, dtype=np.intp)
 
 

@@ -24,8 +24,8 @@ from calib.core.numerics import linalg
 from calib.core.robots.robot import Robot
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import distances_from
-from calib.planning.rank_three_scores import DeterminantScores, TaskScores
 from calib.planning.selection_problem import DETERMINED, TASK
+from calib.planning.selection_scores import DeterminantScores, TaskScores
 from calib.planning.selection_setting import prepare
 
 ENOUGH = 0.8
@@ -71,7 +71,6 @@ def next_pose(
     Args:
         robot: The robot, linearised at its present values.
         candidates: Poses to choose from; the predicted error is over these.
-        measured: Measurements so far.
         present: Present joint values of the robot, (n_actuated,) [m or rad]; default: home.
         sigma: Noise of one reading per axis [m]; default: the description's.
         drawn: Draw a pose to check with from this generator.
@@ -91,7 +90,7 @@ def next_pose(
     else:
         scores = DeterminantScores.from_problem(problem, problem.before + _KNOWN * np.eye(len(problem.before)))
     gains = np.where(usable, scores.gains(), -np.inf)
-    way = distances_from(setting.candidates.joints, robot.home if present is None else present)[setting.pairs.pose]
+    way = distances_from(setting.poses.joints, robot.home if present is None else present)[setting.pairs.pose]
     if drawn is None:
         best = int(np.argmin(np.where(gains >= ENOUGH * np.max(gains), way, np.inf)))
     else:
@@ -102,7 +101,7 @@ def next_pose(
     return NextPose(
         candidate=pose,
         name=setting.poses.names[pose],
-        joints=setting.candidates.joints[pose],
+        joints=setting.poses.joints[pose],
         before=float(np.sqrt(before + problem.task_floor)),
         after=float(np.sqrt(max(after, 0.0) + problem.task_floor)),
         travel=float(way[best]),

@@ -29,13 +29,12 @@ from calib.core.instruments.kind import Comparison, FrameInstrument, Instrument,
 from calib.core.instruments.pose import Pose
 from calib.core.instruments.rotations import rotation_vectors
 from calib.core.robots.described_instruments import MEASUREMENT_FRAME
-from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.joint_sampling import TRIES, Ranges
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import planned_readings, predict_readings
 from calib.core.rows.simulate import MET, touching_configurations
-from calib.shared.candidates import configurations_at
+from calib.shared.candidates import reachable_configurations
 from calib.shared.pose_check import PoseCheck, blocking_sentence, check_poses
 
 _TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses to try: for each needed one, and limits of all
@@ -75,11 +74,7 @@ def sample(
 def free_sample(
     robot: Robot, count: int, generator: np.random.Generator, within: Poses | Ranges | ArrayLike | None = None
 ) -> tuple[Poses, PoseCheck, Poses]:
-    """Return free poses as in `sample`, the check of all drawn poses, and the first drawn poses, free or not.
-
-    Raises:
-        InputError, DataError: See `sample`.
-    """
+    """Return free poses, the check of all drawn poses, and the first drawn poses, free or not; see `sample`."""
     state, total = generator.bit_generator.state, count
     while True:
         generator.bit_generator.state = state  # draw the same poses again, and more
@@ -126,11 +121,9 @@ def _draw_poses(
     met = np.flatnonzero(misses < MET)
     if len(met) < count:
         return _poses(robot, tried.joints[:count])
-    expected = {}
-    for name, readings in touched.items():
-        kept = readings_of_visits(readings, met[:count])
-        expected[name] = Readings(kept.visits, kept.pairs, np.zeros((len(kept), 0)), None, kept.details)
-    return replace(_poses(robot, commands[met[:count]]), planned=expected)
+    kept = {name: readings_of_visits(readings, met[:count]) for name, readings in touched.items()}
+    planned = {name: replace(readings, values=np.zeros((len(readings), 0))) for name, readings in kept.items()}
+    return replace(_poses(robot, commands[met[:count]]), planned=planned)
 
 
 def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
@@ -142,10 +135,7 @@ def visible_poses(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
     result = {name: np.zeros(len(poses), dtype=bool) for name in names}
     for start in range(0, len(poses) if result else 0, _AT_ONCE):
         part = poses.subset(np.arange(start, min(start + _AT_ONCE, len(poses))))
-        columns = term_columns(robot, part.joints, part.conditions)
-        closed = robot.close(part.joints, columns=columns)
-        good = np.flatnonzero(closed.ok)
-        configurations = configurations_at(robot, part.joints, closed, columns, good)
+        good, configurations = reachable_configurations(robot, part)
         looks = planned_readings(robot, part.subset(good))
         for name, readings in predict_readings(robot, configurations, {name: looks[name] for name in result}).items():
             seen = np.isfinite(readings.values).any(axis=1)

@@ -137,9 +137,11 @@ class Progress(ReadOnlyArrays):
         if self.fit is None:
             lines = [f"not yet a calibration: {self.reason_without_fit}"]
         else:
-            candidates = f"{self.n_candidates} candidates"
+            where = f"over {self.n_candidates} candidates"
+            if self.lowered != self.predicted:  # errors of joints are another part
+                where += f"; more poses lower {quantity_text(self.lowered.value, 'mm')} of it"
             lines = [
-                f"predicted error  {_format_error(self.predicted)} over {candidates}{self._lowered()}",
+                f"predicted error  {_format_error(self.predicted)} {where}",
                 f"unseen error     {self._unseen_shown()}",
             ]
         return [*lines, f"goal {quantity_text(self.goal, 'mm', '.4g')}: {self._verdict()}"]
@@ -188,12 +190,6 @@ class Progress(ReadOnlyArrays):
                 shown = f"{quantity_text(scatter, 'mm')} RMS"
                 return f"not yet; readings that scatter by {shown} about the model can never show that the goal is met"
         return "not yet"
-
-    def _lowered(self) -> str:
-        """Clause on the part that more poses lower, where errors of joints are another."""
-        if self.lowered == self.predicted:
-            return ""
-        return f"; more poses lower {quantity_text(self.lowered.value, 'mm')} of it"
 
     def _unseen_shown(self) -> str:
         if not math.isfinite(self.unseen.high95):

@@ -43,10 +43,9 @@ from calib.core.robots.loading import RobotLike, as_robot
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import order_in_blocks, travel
-from calib.planning.selection_bound import CERTIFIED, gathered_by, log_phi, relax, slopes
-from calib.planning.selection_problem import TASK, SelectionProblem
+from calib.planning.selection_bound import CERTIFIED, gathered_by, largest, log_phi, relax, slopes
+from calib.planning.selection_problem import TASK, SelectionProblem, index_values, observability_of
 from calib.planning.selection_result import Run, Selection
-from calib.planning.selection_scores import index_values, observability_of
 from calib.planning.selection_setting import SelectionSetting, prepare, require_count
 from calib.shared.candidates import WHITENED
 from calib.shared.pose_check import PoseCheck, check_poses
@@ -69,23 +68,12 @@ class CandidateSubset:
     space: Spacing
     n_all: int
 
-    def numbers_of(self, candidates: IntArray) -> IntArray:
-        """Return the indices in this subset of candidates (n,), all of which must be in it."""
-        return np.asarray(np.searchsorted(self.index, candidates))
-
     def with_all_numbers(self, result: Exchange) -> Exchange:
         """Return an exchange in this subset with the indices of all candidates."""
         chosen = np.zeros(self.n_all, dtype=bool)
         chosen[self.index[result.chosen]] = True
-        history = tuple((a, b) if a < 0 else (int(self.index[a]), int(self.index[b])) for a, b in result.history)
+        history = tuple((int(self.index[a]), int(self.index[b])) for a, b in result.history)
         return replace(result, chosen=chosen, history=history)
-
-
-def first_candidates(setting: SelectionSetting, starts: IntArray) -> CandidateSubset:
-    """Return the first candidates to search: the best at equal weights, and the starts (n,)."""
-    # without priors, K of all candidates is the identity
-    alike = setting.count / len(setting.problem) * np.eye(len(setting.problem.strengths))
-    return best_candidates(setting, setting.problem.before + alike, starts)
 
 
 def best_candidates(setting: SelectionSetting, gathered: FloatArray, kept: IntArray) -> CandidateSubset:
@@ -95,7 +83,7 @@ def best_candidates(setting: SelectionSetting, gathered: FloatArray, kept: IntAr
     if setting.index not in CERTIFIED or space.distance > 0 or n_all <= SCREENED:
         return CandidateSubset(np.arange(n_all), problem, space, n_all)
     ranked = np.where(space.usable, slopes(problem, setting.index, gathered), -np.inf)
-    best = setting.largest(ranked, np.maximum(_SEARCHED // len(counts), _FOR_EACH * counts))
+    best = largest(ranked, space.kind, np.maximum(_SEARCHED // len(counts), _FOR_EACH * counts))
     index = np.union1d(np.concatenate(best), kept).astype(np.intp)
     return CandidateSubset(index, replace(problem, rows=problem.rows[index]), space.select(index), n_all)
 
@@ -181,7 +169,7 @@ def select(
         free_or_not = _best_choice(everywhere, kinds[:1], random_numbers(seed))[1]
         unobstructed = index_values(everywhere.problem, free_or_not.chosen, everywhere.sigma)
     chosen = np.flatnonzero(best.chosen)
-    pose, joints = setting.pairs.pose[chosen], setting.candidates.joints[setting.pairs.pose[chosen]]
+    pose, joints = setting.pairs.pose[chosen], setting.poses.joints[setting.pairs.pose[chosen]]
     order = order_in_blocks(joints, robot.home, _blocks(setting, chosen))
     uniform = np.isin(np.arange(len(setting.problem)), setting.uniform())
     nothing = np.zeros(len(setting.problem), dtype=bool)
@@ -191,7 +179,7 @@ def select(
         instruments=tuple(groups.names[g] for g in setting.pairs.group[chosen[order]] if groups.chosen),
         groups=groups.names if groups.chosen else (),
         joints=joints[order],
-        positions=setting.candidates.pose_rows.positions[pose[order]],
+        positions=setting.pose_rows.positions[pose[order]],
         before=index_values(setting.problem, uniform, setting.sigma),
         after=index_values(setting.problem, best.chosen, setting.sigma),
         raw=_raw(setting, setting.problem.rows[chosen]),
@@ -200,12 +188,12 @@ def select(
         bound=bound,
         distance=minimum_distance,
         runs=runs,
-        travel=(travel(joints, robot.home, np.arange(total)), travel(joints, robot.home, order)),
+        travel=(travel(joints, robot.home), travel(joints[order], robot.home)),
         rank=setting.problem.rank,
         rank_of_poses=setting.problem.pose_information.rank,
         sigma=setting.sigma,
         sigma_assumed=setting.sigma_assumed,
-        skipped=setting.candidates.skipped,
+        skipped=setting.pose_rows.skipped,
         already_measured=setting.already_measured,
         seed=seed,
         seconds=time.perf_counter() - started,
@@ -223,9 +211,12 @@ def _best_choice(
     progress: Progress | None = None,
 ) -> tuple[tuple[Run, ...], Exchange, float | None, float | None]:
     """The runs from each start and the best choice; for an index with a bound, its efficiency and the bound."""
-    starts = [setting.uniform() if kind == "uniform" else setting.random(rng) for kind in kinds]
-    searched = first_candidates(setting, np.concatenate(starts))
-    results, runs = zip(*_run(setting, searched, kinds, starts, workers, progress), strict=True)
+    starts = [(kind, setting.uniform() if kind == "uniform" else setting.random(rng)) for kind in kinds]
+    # without priors, K of all candidates is the identity
+    alike = setting.count / len(setting.problem) * np.eye(len(setting.problem.strengths))
+    kept = np.concatenate([start for _, start in starts])
+    searched = best_candidates(setting, setting.problem.before + alike, kept)
+    results, runs = zip(*_run(setting, searched, starts, workers, progress), strict=True)
     best = max(results, key=lambda exchange: exchange.scores.value)
     return _certify(setting, runs, best) if setting.index in CERTIFIED else (runs, best, None, None)
 
@@ -233,13 +224,13 @@ def _best_choice(
 def _run(
     setting: SelectionSetting,
     searched: CandidateSubset,
-    kinds: Sequence[str],
-    starts: Sequence[IntArray],
+    starts: Sequence[tuple[str, IntArray]],
     workers: Executor | None = None,
     progress: Progress | None = None,
 ) -> list[tuple[Exchange, Run]]:
-    """Run the exchange from each of `starts`; `kinds` names them."""
-    spread = [searched.space.select_spread(searched.numbers_of(start), setting.count) for start in starts]
+    """Run the exchange from each of the named starts."""
+    inside = (np.searchsorted(searched.index, start) for _, start in starts)
+    spread = [searched.space.select_spread(start, setting.count) for start in inside]
     fewest = min(map(len, spread))
     if fewest < setting.count:
         raise InputError(
@@ -248,9 +239,9 @@ def _run(
         )
     runs = []
     search = partial(_search, searched.problem, setting.index, searched.space)
-    for kind, (inside, n_paper) in zip(kinds, results_in_order(search, spread, workers, progress), strict=True):
-        result = searched.with_all_numbers(inside)
-        runs.append((result, Run(kind, result.history[1:], tuple(map(setting.index_of_score, result.values)), n_paper)))
+    for (kind, _), (found, n_paper) in zip(starts, results_in_order(search, spread, workers, progress), strict=True):
+        result = searched.with_all_numbers(found)
+        runs.append((result, Run(kind, result.history, tuple(map(setting.index_of_score, result.values)), n_paper)))
     return runs
 
 
@@ -258,7 +249,7 @@ def _run(
 def _search(problem: SelectionProblem, index: str, space: Spacing, start: IntArray) -> tuple[Exchange, int]:
     """The exchange and the following swaps from one start, and the number of exchanges before the swaps."""
     paper = exchange(problem, index, start, space)
-    return swap(paper, space), len(paper.values) - 1
+    return swap(paper, space), len(paper.history)
 
 
 def _certify(
@@ -266,16 +257,14 @@ def _certify(
 ) -> tuple[tuple[Run, ...], Exchange, float, float]:
     """Bound all choices, start once more from the relaxed weights, and compare the best choice with the bound."""
     problem, index, usable = setting.problem, setting.index, setting.space.usable
-    relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
-    heaviest = np.concatenate(setting.largest(np.where(usable, relaxation.weights, -1.0), setting.counts))
-    weighted = np.flatnonzero(best.chosen | (relaxation.weights > 0))
-    searched = best_candidates(setting, gathered_by(problem, relaxation.weights), weighted)
-    starts = {"relaxed": np.sort(heaviest)}
-    if len(searched.index) < searched.n_all:
-        starts["best"] = np.flatnonzero(best.chosen)
-    for more, run in _run(setting, searched, tuple(starts), tuple(starts.values())):
+    log_bound, weights = relax(problem, index, best.chosen, setting.space)
+    heaviest = np.concatenate(largest(np.where(usable, weights, -1.0), setting.space.kind, setting.counts))
+    searched = best_candidates(setting, gathered_by(problem, weights), np.flatnonzero(best.chosen | (weights > 0)))
+    starts = [("relaxed", np.sort(heaviest)), ("best", np.flatnonzero(best.chosen))]
+    screened = len(searched.index) < searched.n_all
+    for more, run in _run(setting, searched, starts if screened else starts[:1]):
         best, runs = max(best, more, key=lambda exchange: exchange.scores.value), (*runs, run)
-    log_phis = relaxation.log_bound, log_phi(problem, index, problem.information_of(best.chosen.astype(float)))
+    log_phis = log_bound, log_phi(problem, index, problem.information_of(best.chosen.astype(float)))
     # scores by log phi: minus trace(W K^-1), log det K
     scores = (-float(np.exp(-each)) if index == TASK else len(problem.strengths) * each for each in log_phis)
     bound, value = map(setting.index_of_score, scores)

@@ -32,11 +32,10 @@ Reference: kiefer1960; boyd2004, sections 3.1.5, 7.5 and 11.7; pukelsheim1993.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.planning.exchange import Spacing
 from calib.planning.selection_problem import TASK, SelectionProblem
 
 CERTIFIED = ("O1", TASK)
@@ -51,29 +50,14 @@ _TO_BOUNDARY = 0.95
 _CENTRING = 0.15
 
 
-@dataclass(frozen=True, eq=False)
-class Relaxation(ReadOnlyArrays):
-    """A bound on all choices of one size.
-
-    Attributes:
-        log_bound: Upper bound of log phi over all choices.
-        weights: Weights of the relaxation, (n_candidates,); the candidates with the largest weights are a good choice.
-    """
-
-    log_bound: float
-    weights: FloatArray
-
-
-def relax(
-    problem: SelectionProblem, index: str, chosen: BoolArray, usable: BoolArray, kinds: IntArray | None = None
-) -> Relaxation:
+def relax(problem: SelectionProblem, index: str, chosen: BoolArray, spacing: Spacing) -> tuple[float, FloatArray]:
     """Bound the index of any choice with as many poses of each kind as a choice (n_candidates,) to start from.
 
-    Candidates that are not usable (n_candidates,) keep weight 0. `kinds` are numbers, (n_candidates,); default: one
-    kind.
+    Returns:
+        Upper bound of log phi over all choices; weights of the relaxation, (n_candidates,), 0 for candidates that are
+        not usable. The candidates with the largest weights are a good choice.
     """
-    weights = chosen.astype(float)
-    kinds = np.broadcast_to(np.intp(0), len(problem)) if kinds is None else kinds
+    weights, kinds, usable = chosen.astype(float), spacing.kind, spacing.usable
     counts = np.bincount(kinds[chosen], minlength=int(np.max(kinds)) + 1)
     lowest = np.inf
     for _ in range(_ROUNDS):
@@ -90,7 +74,7 @@ def relax(
         left = (counts - np.bincount(kinds, fixed, minlength=len(counts))).astype(float)
         weights = fixed.copy()
         weights[unclear] = _interior_point(problem, index, unclear, gathered_by(problem, fixed), kinds[unclear], left)
-    return Relaxation(lowest, weights)
+    return lowest, weights
 
 
 def gathered_by(problem: SelectionProblem, weights: FloatArray) -> FloatArray:

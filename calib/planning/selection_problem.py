@@ -26,25 +26,29 @@ with B = J (V - N P_NN^+ P_NV) S^-1 for a task pose with rows J, and c = mean of
 only priors hold. Without priors the index values are the published ones. A choice may use each candidate once.
 
 Without pose j of a choice, direction v keeps the part v^T (K - B_j^T B_j) v / v^T K v of its information. The least
-part over all directions is the smallest eigenvalue of I - B_j K^-1 B_j^T (`calib.planning.rank_three_scores.Scores`).
+part over all directions is the smallest eigenvalue of I - B_j K^-1 B_j^T (`calib.planning.selection_scores.Scores`).
 The eigenvalues of K - B_j^T B_j do not show a lost direction: the difference of two rounded matrices is wrong by eps
 |K| in every direction.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.memory import zeros_with_room
+from calib.core.base.parameter import Parameter
+from calib.core.base.units import PER_SI
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import Rank, reduce_rows
-from calib.core.numerics.observability import OUTSIDE, Information, information
+from calib.core.numerics.identifiability import Rank, numerical_rank, reduce_rows
+from calib.core.numerics.observability import OUTSIDE, Information, information, observability
 
 TASK = "task"
 """Name of the task index."""
+CHOICES = ("O1", "O2", "O3", "O4", "O5", TASK)
 _PART = 8192  # candidates at once
 DETERMINED = 1e-10
 """A choice determines a direction if it has at least this part of the information of all candidates there."""
@@ -163,3 +167,51 @@ def _task(
     if np.linalg.norm(unheld) > OUTSIDE * np.linalg.norm(flat):
         return factor, float("inf")
     return factor, float(np.sum(held_part**2)) / n_positions
+
+
+def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> dict[str, float]:
+    """Return O1 to O5 of a choice (n_candidates,) and, if there is a task, the task index [m].
+
+    `unit` is the size of a whitened row of 1, such as the noise of a position [m].
+    """
+    rows = problem.rows[chosen]
+    flat = rows.reshape(-1, rows.shape[2])
+    gathered = flat.T @ flat + problem.before
+    eigenvalues, vectors = linalg.eigh(gathered)
+    determined = bool(eigenvalues[0] > DETERMINED)
+    # singular values of a factor of K, not eigenvalues of S K S: these would lose half of the digits
+    factor = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * vectors.T
+    singular = linalg.singular_values(factor * problem.strengths)
+    if not determined:
+        singular[-1] = 0.0
+    values = observability(unit * singular, len(rows) + problem.n_before)
+    if problem.task.shape[1]:
+        trace = problem.task_trace(gathered) if determined else float("inf")
+        values[TASK] = float(np.sqrt(trace + problem.task_floor))
+    return values
+
+
+def index_of_score(problem: SelectionProblem, index: str, score: float, count: int, unit: float) -> float:
+    """Return the index of `count` chosen poses with a score; the task index in m. `unit` is as in `index_values`."""
+    if index == "O1":
+        mean_log = 0.5 * score / len(problem.strengths) + float(np.mean(np.log(problem.strengths)))
+        return unit * float(np.exp(mean_log) / np.sqrt(count + problem.n_before))
+    if index == TASK:
+        return float(np.sqrt(problem.task_floor - score))
+    return score if index == "O2" else unit * score
+
+
+def observability_of(
+    rows: FloatArray, parameters: Sequence[Parameter], n_poses: int, *, lengths: bool = True
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return O1 to O5 of poses, on scaled columns [m] and on raw ones (mm per unit of table).
+
+    Rows are the scaled Jacobian, (..., n_parameters) [m], or, if they are not `lengths`, are divided by their noise and
+    give indices without unit. Where the poses are short of rank, only non-zero singular values count.
+    """
+    flat = rows.reshape(-1, rows.shape[-1])
+    per_unit = np.array([parameter.sigma for parameter in parameters])
+    scaled = numerical_rank(flat)
+    raw = numerical_rank((PER_SI["length"]["mm"] if lengths else 1.0) * flat / per_unit)
+    kept = slice(max(scaled.rank, 1))
+    return observability(scaled.singular_values[kept], n_poses), observability(raw.singular_values[kept], n_poses)

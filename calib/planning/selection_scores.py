@@ -1,12 +1,20 @@
 """Scores of a choice of poses, and the best pose to add or remove next, for every index.
 
 Scores are frozen; a move gives new scores. Larger is better for each of them: log det K for O1, minus the square of the
-task index, O2 to O5 themselves. For O1 and the task index, changes of rank three give the best next move
-(`calib.planning.rank_three_scores`); for O2 to O5, exact eigenvalues of few candidates give it here.
+task index, O2 to O5 themselves. K is the information of the chosen poses, B_j the rows of pose j, and W the mean over
+task poses of their B^T B (`calib.planning.selection_problem`). Adding pose j turns K into K + B_j^T B_j, removing it
+into K - B_j^T B_j.
 
-For O2 to O5, the new index needs the eigenvalues of each candidate's matrix. A bound rules out most candidates: in the
-axes of the present eigenvectors, only two parts of the new matrix are kept: the block of the few smallest eigenvalues,
-and the rest of the diagonal (pinching). The true eigenvalues majorise those of this matrix, so its O2 to O5 are upper
+O1 and the task index. With three coordinates per pose this change has rank three, and small matrices of all candidates
+give the new value:
+
+    log det     log det(I +- G_j),  G_j = B_j K^-1 B_j^T;  after a move G_i -+ T_i T_i^T with
+                T_i = B_i K^-1 B_j^T chol(I +- G_j)^-T, one product of all rows with three columns
+    task        trace(W K^-1) -+ trace((I +- G_j)^-1 B_j K^-1 W K^-1 B_j^T)
+
+O2 to O5. The new index needs the eigenvalues of each candidate's matrix. A bound rules out most candidates: in the axes
+of the present eigenvectors, only two parts of the new matrix are kept: the block of the few smallest eigenvalues, and
+the rest of the diagonal (pinching). The true eigenvalues majorise those of this matrix, so its O2 to O5 are upper
 bounds. True eigenvalues are computed in the order of the bounds, until no bound exceeds the best value. The result is
 the exact best candidate.
 
@@ -15,105 +23,182 @@ Reference: bhatia1997, sections II.5 and III.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
-from calib.core.base.arrays import BoolArray, FloatArray
-from calib.core.base.errors import require_known
-from calib.core.base.parameter import Parameter
-from calib.core.base.units import PER_SI
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.numerics import linalg
-from calib.core.numerics.identifiability import numerical_rank
-from calib.core.numerics.observability import observability
-from calib.planning.rank_three_scores import DeterminantScores, Scores, TaskScores
 from calib.planning.selection_problem import DETERMINED, TASK, SelectionProblem
 
-CHOICES = ("O1", "O2", "O3", "O4", "O5", TASK)
+_REFRESH = 32  # moves after which the determinant's small matrices are recomputed, against rounding
+_UPDATED = 1e-6  # least det(I - G) for an update; near zero, the update would lose too many digits
 _PINCHED = 4  # size of the block: eigenvectors of the smallest eigenvalues
 _BATCH = 16  # candidates whose eigenvalues are computed together
 
 
-def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: float = 0.0) -> Scores:
-    """Return the scores of a choice (n_candidates,) by an index of `CHOICES`.
+@dataclass(frozen=True, eq=False)
+class Scores(ABC):
+    """Value of a choice, and its best next moves, by the information K (r, r) of the chosen candidates."""
 
-    A ridge on the diagonal of K lets a choice that determines too little be improved.
+    problem: SelectionProblem
+    gathered: FloatArray
 
-    Raises:
-        InputError: Unknown index.
+    @property
+    @abstractmethod
+    def value(self) -> float:
+        """Larger is better; comparable between choices of equally many poses."""
+
+    @abstractmethod
+    def best_move(self, allowed: BoolArray, *, add: bool) -> int:
+        """Return the allowed candidate (n_candidates,) whose addition (or removal) is best."""
+
+    def after_move(self, candidate: int, *, add: bool) -> Self:
+        """Return the scores after adding (or removing) a candidate."""
+        rows = self.problem.rows[candidate]
+        return replace(self, gathered=self.gathered + (1.0 if add else -1.0) * rows.T @ rows)
+
+    def spares(self, candidates: IntArray) -> BoolArray:
+        """Return which of the chosen candidates (n,) can each go while every direction stays determined, (n,)."""
+        whiten, least = self._redundancy
+        seen = self.problem.rows[candidates] @ whiten
+        left = np.eye(seen.shape[1]) - seen @ seen.transpose(0, 2, 1)
+        return np.asarray(linalg.eigvalsh(left)[:, 0] > least)
+
+    @cached_property
+    def _redundancy(self) -> tuple[FloatArray, float]:
+        """X with X^T K X = I, (r, r), and the part of its information that every direction must keep.
+
+        With the diagonal of K scaled to ones, B K^-1 B^T is exact to about r eps times its condition number, so smaller
+        parts count as zero. For a singular K no pose is spared.
+        """
+        diagonal = np.diag(self.gathered)
+        scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
+        values, vectors = linalg.eigh(scale[:, None] * self.gathered * scale)
+        rounding = len(values) * float(np.finfo(float).eps) * float(values[-1])
+        if not values[0] > rounding:
+            return np.zeros_like(self.gathered), 1.0
+        return scale[:, None] * vectors / np.sqrt(values), max(DETERMINED, rounding / float(values[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class DeterminantScores(Scores):
+    """log det K, by rank-three updates.
+
+    Attributes:
+        inverse: K^-1, (r, r).
+        seen: G of every candidate, (k, k, n_candidates), with candidates last so that sums run through memory.
+        moves_since_update: Moves since `seen` was recomputed.
     """
-    gathered = problem.information_of(chosen.astype(float)) + ridge * np.eye(len(problem.strengths))
-    if index == "O1":
-        return DeterminantScores.from_problem(problem, gathered)
-    if index == TASK:
-        return TaskScores(problem, gathered)
-    require_known(index, CHOICES, "unknown index")
-    return Spectrum(problem, gathered, index)
+
+    inverse: FloatArray
+    seen: FloatArray
+    moves_since_update: int
+
+    @classmethod
+    def from_problem(cls, problem: SelectionProblem, gathered: FloatArray) -> Self:
+        """Return the scores of a choice with this K, (r, r)."""
+        inverse = np.linalg.inv(gathered)
+        root = _products(problem.rows, _root(inverse))
+        return cls(problem, gathered, inverse, np.einsum("icn,kcn->ikn", root, root), 0)
+
+    @cached_property
+    def value(self) -> float:
+        """Log det K."""
+        return float(np.linalg.slogdet(self.gathered)[1])
+
+    def gains(self) -> FloatArray:
+        """Return the rise of log det K by adding each candidate, (n_candidates,)."""
+        return np.log(_determinants(self.seen, 1.0))
+
+    def best_move(self, allowed: BoolArray, *, add: bool) -> int:
+        """Return the best next move; see `Scores`."""
+        factors = _determinants(self.seen, 1.0 if add else -1.0)
+        return int(np.argmax(np.where(allowed, factors, -np.inf)))
+
+    def after_move(self, candidate: int, *, add: bool) -> Self:
+        """Return the scores after a move; see `Scores`."""
+        sign = 1.0 if add else -1.0
+        rows = self.problem.rows[candidate]
+        gathered = self.gathered + sign * rows.T @ rows
+        left = _determinants(self.seen[:, :, candidate : candidate + 1], sign)[0]
+        small = np.eye(len(rows)) + sign * self.seen[:, :, candidate]
+        if (
+            self.moves_since_update >= _REFRESH or left < _UPDATED or linalg.eigvalsh(small)[0] <= 0
+        ):  # the determinant alone may be positive with two negative eigenvalues
+            return self.from_problem(self.problem, gathered)
+        half = np.linalg.solve(np.linalg.cholesky(small), rows @ self.inverse).T
+        inverse = self.inverse - sign * half @ half.T
+        through = _products(self.problem.rows, half)
+        seen = self.seen - sign * np.einsum("icn,kcn->ikn", through, through)
+        moves = self.moves_since_update + 1
+        return replace(self, gathered=gathered, inverse=inverse, seen=seen, moves_since_update=moves)
 
 
-def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> dict[str, float]:
-    """Return O1 to O5 of a choice (n_candidates,) and, if there is a task, the task index [m].
-
-    `unit` is the size of a whitened row of 1, such as the noise of a position [m].
-    """
-    rows = problem.rows[chosen]
-    flat = rows.reshape(-1, rows.shape[2])
-    gathered = flat.T @ flat + problem.before
-    eigenvalues, vectors = linalg.eigh(gathered)
-    determined = bool(eigenvalues[0] > DETERMINED)
-    # singular values of a factor of K, not eigenvalues of S K S: these would lose half of the digits
-    factor = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * vectors.T
-    singular = linalg.singular_values(factor * problem.strengths)
-    if not determined:
-        singular[-1] = 0.0
-    values = observability(unit * singular, len(rows) + problem.n_before)
-    if problem.task.shape[1]:
-        trace = problem.task_trace(gathered) if determined else float("inf")
-        values[TASK] = float(np.sqrt(trace + problem.task_floor))
-    return values
+def _root(matrix: FloatArray) -> FloatArray:
+    """Return C with C C^T = matrix (r, r), which rounding may have made slightly indefinite."""
+    try:
+        return np.asarray(np.linalg.cholesky(matrix))
+    except np.linalg.LinAlgError:
+        values, vectors = linalg.eigh(matrix)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter], *, lengths: bool = True) -> FloatArray:
-    """Return the Jacobian in the units of tables, as in the paper: mm per unit of each parameter (mm or deg).
-
-    Args:
-        jacobian: d(positions)/d(parameters), (..., n_parameters) [m per m or rad].
-        lengths: Whether rows are lengths [m]; rows divided by their noise have no unit, and are not converted.
-    """
-    per_unit = np.array([1.0 / parameter.per_si for parameter in parameters])
-    return (PER_SI["length"]["mm"] if lengths else 1.0) * jacobian * per_unit
+def _products(rows: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Return rows times matrix with the candidates last, (k, n_columns, n_candidates)."""
+    n, k, r = rows.shape
+    flat = (rows.reshape(n * k, r) @ matrix).reshape(n, k, -1)  # one product, where numpy would do n small products
+    return np.ascontiguousarray(flat.transpose(1, 2, 0))
 
 
-def observability_of(
-    rows: FloatArray, parameters: Sequence[Parameter], n_poses: int, *, lengths: bool = True
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Return O1 to O5 of poses, on scaled columns [m] and on raw ones (mm per unit of table).
-
-    Where the poses are short of rank, only non-zero singular values count.
-
-    Args:
-        rows: Scaled Jacobian, (..., n_parameters) [m]; leading axes are flattened.
-        n_poses: Number of poses behind the rows.
-        lengths: Whether rows are lengths; rows divided by their noise give indices without unit.
-    """
-    width = rows.shape[-1]
-    scales = np.array([parameter.sigma_si for parameter in parameters])
-    scaled = numerical_rank(rows.reshape(-1, width))
-    raw = numerical_rank(raw_columns(rows / scales, parameters, lengths=lengths).reshape(-1, width))
-    kept = slice(max(scaled.rank, 1))
-    return observability(scaled.singular_values[kept], n_poses), observability(raw.singular_values[kept], n_poses)
+def _determinants(seen: FloatArray, sign: float) -> FloatArray:
+    """det(I +- G) of every candidate; written out for three rows, much faster than factorisations."""
+    if len(seen) != 3:
+        return np.asarray(np.linalg.det(np.eye(len(seen)) + sign * seen.transpose(2, 0, 1)))
+    a, b, c = (1.0 + sign * seen[i, i] for i in range(3))
+    d, e, f = sign * seen[0, 1], sign * seen[0, 2], sign * seen[1, 2]
+    return np.asarray(a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e))
 
 
-def index_of_score(problem: SelectionProblem, index: str, score: float, count: int, unit: float) -> float:
-    """Return the index of `count` chosen poses with a score; the task index in m. `unit` is as in `index_values`."""
-    if index == "O1":
-        mean_log = 0.5 * score / len(problem.strengths) + float(np.mean(np.log(problem.strengths)))
-        return unit * float(np.exp(mean_log) / np.sqrt(count + problem.n_before))
-    if index == TASK:
-        return float(np.sqrt(problem.task_floor - score))
-    return score if index == "O2" else unit * score
+@dataclass(frozen=True, eq=False)
+class TaskScores(Scores):
+    """Minus trace(W K^-1), the square of the task index, by changes of rank three."""
+
+    @cached_property
+    def value(self) -> float:
+        """Minus trace(W K^-1)."""
+        return -self.problem.task_trace(self.gathered)
+
+    @cached_property
+    def _task_products(self) -> tuple[FloatArray, FloatArray]:
+        """B K^-1 B^T and B K^-1 W K^-1 B^T of every candidate."""
+        rows = self.problem.rows
+        inverse = np.linalg.inv(self.gathered)
+        seen = np.matmul(rows @ inverse, rows.transpose(0, 2, 1))
+        task_rows = rows @ (inverse @ self.problem.task)
+        return seen, np.matmul(task_rows, task_rows.transpose(0, 2, 1))
+
+    def gains(self) -> FloatArray:
+        """Return the fall of trace(W K^-1) by adding each candidate, (n_candidates,)."""
+        seen, task_rows = self._task_products
+        return np.trace(np.linalg.solve(np.eye(seen.shape[1]) + seen, task_rows), axis1=1, axis2=2)
+
+    def best_move(self, allowed: BoolArray, *, add: bool) -> int:
+        """Return the best next move; see `Scores`."""
+        if add:
+            return int(np.argmax(np.where(allowed, self.gains(), -np.inf)))
+        seen, task_rows = self._task_products
+        candidates = np.flatnonzero(allowed)
+        small = np.eye(seen.shape[1]) - seen[candidates]
+        solvable = self.spares(candidates)
+        if not np.any(solvable):
+            return int(candidates[0])
+        candidates, small = candidates[solvable], small[solvable]
+        change = np.trace(np.linalg.solve(small, task_rows[candidates]), axis1=1, axis2=2)
+        return int(candidates[np.argmin(change)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,3 +259,14 @@ def spectral_index(eigenvalues: FloatArray, index: str) -> FloatArray:
         safe = np.where(eigenvalues > 0, eigenvalues, np.inf)
         result = np.where(smallest > 0, 1.0 / np.sum(1.0 / np.sqrt(safe), axis=1), 0.0)
     return result
+
+
+def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: float = 0.0) -> Scores:
+    """Return the scores of a choice (n_candidates,) by an index of `CHOICES`.
+
+    A ridge on the diagonal of K lets a choice that determines too little be improved.
+    """
+    gathered = problem.information_of(chosen.astype(float)) + ridge * np.eye(len(problem.strengths))
+    if index == "O1":
+        return DeterminantScores.from_problem(problem, gathered)
+    return TaskScores(problem, gathered) if index == TASK else Spectrum(problem, gathered, index)

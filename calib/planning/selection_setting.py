@@ -22,13 +22,13 @@ from calib.core.rows.unknowns import Unknowns
 from calib.planning.exchange import Spacing, uniform_start
 from calib.planning.instrument_choice import Groups, PoseGroupPairs, already_read, pairs_of, require_planned_touches
 from calib.planning.selection_bound import CERTIFIED, largest
-from calib.planning.selection_problem import TASK, SelectionProblem, build_problem
-from calib.planning.selection_scores import CHOICES, index_of_score
+from calib.planning.selection_problem import CHOICES, TASK, SelectionProblem, build_problem, index_of_score
 from calib.shared.candidates import (
-    Candidates,
+    PoseRows,
     assumed_sigma,
     build_candidates,
     near_measured,
+    positions_at,
     require_free,
     rows_of_measured,
 )
@@ -39,15 +39,12 @@ class SelectionSetting:
     """Everything known before the first choice.
 
     Attributes:
-        robot: The robot.
         index: Index to raise, of `CHOICES`.
         count: Number of poses; a pose counts once for each group of instruments that reads there.
         groups: Groups of instruments to choose among.
-        poses: The poses to choose from.
-        candidates: The assembled poses.
+        poses, pose_rows: The poses to choose from.
         pairs: The candidates: these poses with groups of instruments.
         problem: The candidates in whitened coordinates.
-        space: Rules on which candidates may be chosen.
         sigma: Noise of one measured position per axis, the unit of indices [m].
         sigma_assumed: Whether some noise is an assumption.
         already_measured: Number of measured candidates.
@@ -58,7 +55,7 @@ class SelectionSetting:
     count: int
     groups: Groups
     poses: Poses
-    candidates: Candidates
+    pose_rows: PoseRows
     pairs: PoseGroupPairs
     problem: SelectionProblem
     space: Spacing
@@ -84,10 +81,6 @@ class SelectionSetting:
         """Return the index of a choice with this score; the task index in m."""
         return index_of_score(self.problem, self.index, score, self.count, self.sigma)
 
-    def largest(self, values: FloatArray | IntArray, counts: IntArray) -> list[IntArray]:
-        """Return for each kind the `counts` (n_kinds,) candidates with the largest values (n_candidates,)."""
-        return largest(values, self.space.kind, counts)
-
     def _usable_by_kind(self) -> list[tuple[IntArray, int]]:
         """The usable candidates of each kind, (n,), and the requested number of them."""
         usable = np.flatnonzero(self.space.usable)
@@ -107,16 +100,9 @@ def prepare(
     sigma: float | None = None,
     exclude: Sequence[int] = (),
 ) -> SelectionSetting:
-    """Assemble and linearise the candidates, and check that the index can be raised; arguments are as in `select`.
+    """Assemble and linearise the candidates, and check that the index can be raised.
 
-    Args:
-        candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
-
-    Raises:
-        InputError: An argument is wrong.
-        DataError: Two candidates are equal.
-        UnreachablePoseError: Candidates cannot be assembled.
-        NotIdentifiableError: No choice determines the directions of the index.
+    For arguments and errors see `calib.planning.selection.select`.
     """
     require_known(index, CHOICES, "unknown index")
     require_free(robot)
@@ -127,45 +113,43 @@ def prepare(
     if groups.chosen:
         require_planned_touches(robot, groups, poses)
     assembled = build_candidates(robot, poses, sigma, skip_unreachable=skip_unreachable)
-    candidate_rows = assembled.pose_rows
-    pairs = pairs_of(groups, candidate_rows)
+    pairs = pairs_of(groups, assembled)
     if index not in CERTIFIED or minimum_distance > 0:
         require_memory(
             2 * pairs.rows.size,
             "a choice by an index without a bound, or with a least distance, looks at all candidates at once; it",
             "choose from each part of the candidates, and then from these choices",
         )
-    done_rows, n_before, again = None, 0, 0
+    allowed = assembled.usable.copy()
     for number in exclude:
         if not 0 <= number < len(poses):
             raise InputError(f"exclude: there is no candidate {number}; they are numbered 0 to {len(poses) - 1}")
-    excluded = np.isin(np.arange(len(poses)), np.asarray(exclude, dtype=np.intp))
-    usable = pairs.possible & (assembled.usable & ~excluded)[pairs.pose]
-    pose_points = points_of(candidate_rows.positions) if minimum_distance > 0 else np.zeros((len(poses), 0))
+        allowed[number] = False
+    points = points_of(assembled.positions) if minimum_distance > 0 else np.zeros((len(poses), 0))
+    done_rows, n_before, same = None, 0, np.zeros(len(pairs.pose), dtype=bool)
     if measured is not None:
         done = as_poses(robot, measured)
-        done_rows, positions, _ = rows_of_measured(robot, done, sigma)
-        n_before = done.n_poses
-        same = already_read(groups, poses, done)
-        again = int(np.sum(same & pairs.possible))
-        usable &= ~same
+        done_rows = rows_of_measured(robot, done, sigma)
+        n_before, same = done.n_poses, already_read(groups, poses, done)
         if minimum_distance > 0:
-            allowed = near_measured(poses.joints, done.joints)
-            others = ~allowed & assembled.usable
-            distance, _ = scipy.spatial.cKDTree(points_of(positions)).query(pose_points[others])
-            allowed[others] = distance >= minimum_distance
-            usable &= allowed[pairs.pose]
-    task_rows = candidate_rows.position_rows
-    n_task = int(np.sum(assembled.usable)) * len(robot.reported_targets)
+            gaps = np.full(len(poses), np.inf)
+            others = assembled.usable & ~near_measured(poses.joints, done.joints)
+            gaps[others] = scipy.spatial.cKDTree(points_of(robot.positions(done.joints, done.conditions))).query(
+                points[others]
+            )[0]
+            allowed &= gaps >= minimum_distance
+    task_rows, n_task = assembled.position_rows, int(np.sum(assembled.usable))
     if task is not None:
-        task_rows = rows_of_measured(robot, as_poses(robot, task), sigma)[2]
-        n_task = task_rows.shape[0] * len(robot.reported_targets)
-    problem = build_problem(
-        pairs.rows, done_rows, Unknowns.chosen_by_poses(robot).prior.rows, n_before, task_rows, n_task
-    )
+        wanted = as_poses(robot, task)
+        configurations = robot.assemble(wanted.joints, labels=wanted.labels, context=wanted.conditions)
+        task_rows, n_task = positions_at(robot, configurations)[1], len(wanted)
+    priors = Unknowns.chosen_by_poses(robot).prior.rows
+    problem = build_problem(pairs.rows, done_rows, priors, n_before, task_rows, n_task * len(robot.reported_targets))
     _require_answer(problem, index)
+    usable = pairs.possible & ~same & allowed[pairs.pose]
     kind = np.broadcast_to(np.intp(0), len(usable)) if groups.counts is None else pairs.group
-    space = Spacing(usable, kind, pairs.pose, pose_points[pairs.pose], minimum_distance)
+    space = Spacing(usable, kind, pairs.pose, points[pairs.pose], minimum_distance)
+    again = int(np.sum(same & pairs.possible))
     return SelectionSetting(robot, index, count, groups, poses, assembled, pairs, problem, space, noise, assumed, again)
 
 
@@ -192,7 +176,7 @@ def require_count(setting: SelectionSetting) -> None:
     problem = setting.problem
     missing = problem.pose_information.rank.rank - int(linalg.matrix_rank(problem.before, hermitian=True))
     n_read = np.where(usable, setting.pairs.n_read, 0)
-    n_values = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
+    n_values = int(sum(np.sum(n_read[best]) for best in largest(n_read, space.kind, setting.counts)))
     if n_values < missing:
         raise InputError(
             f"count {setting.count}: {n_values} measured values cannot determine {missing} parameters;"

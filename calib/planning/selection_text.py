@@ -24,13 +24,13 @@ from calib.planning.selection_problem import TASK
 from calib.shared.candidates import WHITENED
 
 _SHOWN = 8  # skipped candidates
+_WIDTH = 120  # characters
 
 
-def text_report(selection: Selection, poses: Poses, width: int = 120) -> str:
-    """Return the result of a selection as text of a width in characters."""
-    return plain_text(
-        [*_summary(selection, poses), _indices(selection), *_remarks(selection)], width, wrap=True
-    ).rstrip()
+def text_report(selection: Selection, poses: Poses) -> str:
+    """Return the result of a selection as text."""
+    parts: list[str | Printed] = [*_summary(selection, poses), _indices(selection), *_remarks(selection)]
+    return plain_text(parts, _WIDTH, wrap=True).rstrip()
 
 
 def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
@@ -77,40 +77,31 @@ def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table)
     ]
     lines = _lines_of(table, [(int(k), poses.names[k]) for k in selection.chosen])
     if selection.groups:
-        columns = _plan(robot, selection, poses, table, headers, lines)
+        rows = _plan(robot, selection, poses, table, lines)
     else:
-        kept = [line for k in selection.chosen for line in lines[poses.names[k]]]
-        columns = [(header, [table.rows[line][c] for line in kept]) for c, header in enumerate(headers)]
+        rows = [table.rows[line] for k in selection.chosen for line in lines[poses.names[k]]]
+    columns = [(header, [row[c] for row in rows]) for c, header in enumerate(headers)]
+    if selection.groups:
+        columns = [(INSTRUMENT, list(selection.instruments)), *(each for each in columns if each[0] != INSTRUMENT)]
     if "pose" not in table.names:
         columns.insert(0, ("pose", [poses.names[k] for k in selection.chosen]))
     return format_table(columns, (comment,))
 
 
 def _plan(
-    robot: Robot,
-    selection: Selection,
-    poses: Poses,
-    table: Table,
-    headers: Sequence[str],
-    lines: Mapping[str, Sequence[int]],
-) -> list[tuple[str, list[object]]]:
-    """Columns of a plan: a row for each pose and its instruments; cells of other instruments are empty."""
-    rows: list[list[object]] = []
+    robot: Robot, selection: Selection, poses: Poses, table: Table, lines: Mapping[str, Sequence[int]]
+) -> list[tuple[str, ...]]:
+    """Rows of a plan: one for each pose and its instruments; cells of other instruments are empty."""
+    rows = []
     for k, together in zip(selection.chosen, selection.instruments, strict=True):
         instruments = [robot.instrument(name) for name in together.split(TOGETHER)]
         columns_read = {column for instrument in instruments for column in columns_in(instrument, table)}
-        touched = [
-            table.names.index(name)
-            for instrument in instruments
-            if instrument.touches
-            for name in instrument.text_columns()
-        ]
-        line = next(line for line in lines[poses.names[k]] if all(table.rows[line][c] for c in touched))
         others = {column for instrument in robot.instruments for column in columns_in(instrument, table)} - columns_read
-        cells = zip(table.names, table.rows[line], strict=True)
-        rows.append([together, *("" if name in others else cell for name, cell in cells)])
-    columns = [(header, [row[c] for row in rows]) for c, header in enumerate([INSTRUMENT, *headers])]
-    return [columns[0], *(column for column in columns[1:] if column[0] != INSTRUMENT)]
+        touched = {name for instrument in instruments if instrument.touches for name in instrument.text_columns()}
+        cells = (dict(zip(table.names, table.rows[line], strict=True)) for line in lines[poses.names[k]])
+        row = next(row for row in cells if all(row[name] for name in touched))
+        rows.append(tuple("" if name in others else cell for name, cell in row.items()))
+    return rows
 
 
 def _lines_of(table: Table, poses: Sequence[tuple[int, str]]) -> dict[str, list[int]]:

@@ -45,7 +45,7 @@ from calib.planning.pose_sampling import sample
 from calib.planning.predicted_error import RootMeanSquare, predicted_rms
 from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
 from calib.shared.candidates import require_free
-from calib.shared.free_poses import free_poses
+from calib.shared.pose_check import free_poses
 
 CANDIDATES = 300
 """Number of sampled candidates if none are given."""
@@ -194,11 +194,7 @@ class GrowingFile:
     """A CSV file that grows while it is read.
 
     An unfinished last line is left for the next time. A line that cannot be read, or whose pose cannot be assembled, is
-    skipped until it is corrected.
-
-    Args:
-        path: The file; it need not exist yet.
-        robot: Robot of these measurements.
+    skipped until it is corrected. The file need not exist yet.
     """
 
     def __init__(self, path: str, robot: Robot) -> None:

@@ -19,12 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.files import read_text
 from calib.core.base.units import from_unit, millimetres, quantity_text
 from calib.core.data.table_writing import format_table
 from calib.printers.linear_delta import ANGLES, TOWERS, DeltaGeometry, tower_angles
-from calib.printers.rows import PrinterFile, PrinterReading, require_plausible, require_steps
+from calib.printers.rows import PrinterFile, PrinterRows, require_plausible, require_steps
 
 _SECTION = re.compile(r"\[([^\]]+)\]\s*$")
 _ENTRY = re.compile(r"([\w ]+?)\s*[:=]\s*(.*)$")
@@ -61,13 +62,9 @@ def read_klipper(path: Path | str) -> PrinterFile:
         default = default or [cfg.number(steppers[0], key)] * 3
         return [cfg.number(stepper, key, each) for stepper, each in zip(steppers, default, strict=True)]
 
-    geometry = DeltaGeometry(
-        from_unit(cfg.number("printer", "delta_radius"), "mm"),
-        _in_si(three("angle", [math.degrees(angle) for angle in ANGLES]), "deg"),
-        _in_si(three("arm_length"), "mm"),
-        _in_si(three("position_endstop"), "mm"),
-    )
-    _require_printer(path, geometry)
+    radius = cfg.number("printer", "delta_radius")
+    angles = [from_unit(angle, "deg") for angle in three("angle", [math.degrees(angle) for angle in ANGLES])]
+    geometry = _geometry(path, radius, angles, three("arm_length"), three("position_endstop"))
     turns, micro, full = three("rotation_distance"), three("microsteps"), three("full_steps_per_rotation", (200.0,) * 3)
     gears = [cfg.ratio(stepper) for stepper in steppers]
     if min(*turns, *micro, *full, *gears) <= 0:
@@ -85,10 +82,6 @@ def _rotary_delta(path: Path | str) -> DataError:
         f"{path}: is a rotary delta (arms that turn); only deltas with carriages on towers can be read here. Begin with"
         " calib init --template delta, and give its lengths with --length"
     )
-
-
-def _in_si(values: Sequence[float], unit: str) -> tuple[float, ...]:
-    return tuple(from_unit(value, unit) for value in values)
 
 
 class _Klipper:
@@ -115,9 +108,10 @@ class _Klipper:
     def number(self, section: str, key: str, default: float | None = None) -> float:
         if (section, key) not in self.entries and default is not None:
             return default
-        return self._numbers(section, key, self.text(section, key), 1)[0]
+        return self._numbers(section, key, 1)[0]
 
-    def _numbers(self, section: str, key: str, text: str, count: int) -> list[float]:
+    def _numbers(self, section: str, key: str, count: int) -> list[float]:
+        text = self.text(section, key)
         where = f"{self.path}, line {self.entries[section, key][1]}: {key}"
         try:
             values = [float(part) for part in text.split(",")]
@@ -138,24 +132,26 @@ class _Klipper:
         except (ValueError, ZeroDivisionError):
             raise DataError(f"{self.path}, line {line}: gear_ratio '{text:.40}' is not a ratio such as 5:1") from None
 
-    def rows(self, step: Sequence[float]) -> tuple[PrinterReading, ...]:
-        heights, spans, calibration = list[PrinterReading](), list[PrinterReading](), "delta_calibrate"
+    def rows(self, step: Sequence[float]) -> PrinterRows:
+        found, calibration = list[tuple[bool, str, int, float, list[FloatArray]]](), "delta_calibrate"
         for (section, key), (text, line) in self.entries.items():
             height, distance = _HEIGHT.match(key), _DISTANCE.match(key)
             if section != calibration or not (height or distance):
                 continue
-            value = from_unit(self._numbers(section, key, text, 1)[0], "mm")
-            ends = ("_pos",) if height else ("_pos1", "_pos2")
-            places = [self._numbers(calibration, key + end, self.text(calibration, key + end), 3) for end in ends]
-            down = tuple(tuple(steps * size for steps, size in zip(place, step, strict=True)) for place in places)
+            value = from_unit(self.number(section, key), "mm")
+            ends = ("_pos", "_pos") if height else ("_pos1", "_pos2")
+            down = [np.multiply(self._numbers(section, key + end, 3), step) for end in ends]
             if distance and value <= 0:
                 raise DataError(f"{self.path}, line {line}: {key} '{text:.40}' is not a distance; correct it")
-            (heights if height else spans).append(PrinterReading(key, line, value, down))
-        if spans and not heights:
+            found.append((height is None, key, line, value, down))
+        if not found:
+            return PrinterRows()
+        is_distance, names, lines, values, places = zip(*sorted(found, key=lambda row: row[0]), strict=True)
+        if all(is_distance):
             raise DataError(
                 f"{self.path}: [{calibration}] has distances and no heights; probe the bed (DELTA_CALIBRATE)"
             )
-        return (*heights, *spans)
+        return PrinterRows(names, lines, ~np.array(is_distance), np.array(values), np.array(places))
 
 
 def read_m665(path: Path | str, firmware: str) -> PrinterFile:
@@ -184,15 +180,24 @@ def read_m665(path: Path | str, firmware: str) -> PrinterFile:
     else:
         _require_duet(path, rods, ends)
         arms = [rods[0], rods[-2 % len(rods)], rods[-1]]
-    angles = tuple(angle + from_unit(turn, "deg") for angle, turn in zip(ANGLES, turned, strict=True))
-    endstops = _in_si([height + end for end in up], "mm")
-    geometry = DeltaGeometry(from_unit(settings["R"][0], "mm"), angles, _in_si(arms, "mm"), endstops)
-    _require_printer(path, geometry)
-    return PrinterFile(str(path), geometry)
+    angles = [angle + from_unit(turn, "deg") for angle, turn in zip(ANGLES, turned, strict=True)]
+    return PrinterFile(str(path), _geometry(path, settings["R"][0], angles, arms, [height + end for end in up]))
 
 
-def _require_printer(path: Path | str, geometry: DeltaGeometry) -> None:
-    """Raise `DataError` if towers are not around the centre, or switches trip below the bed."""
+def _geometry(
+    path: Path | str, radius: float, angles: Sequence[float], arms: Sequence[float], endstops: Sequence[float]
+) -> DeltaGeometry:
+    """The geometry of lengths [mm] and angles [rad].
+
+    Raises:
+        InputError: Arms are too short.
+        DataError: Towers are not around the centre, or switches trip below the bed.
+    """
+    lengths = [tuple(from_unit(value, "mm") for value in part) for part in (arms, endstops)]
+    try:
+        geometry = DeltaGeometry(from_unit(radius, "mm"), tuple(angles), *lengths)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     for tower, angle, expected in zip(TOWERS, geometry.angles, tower_angles(geometry.angles[2]), strict=True):
         if abs(math.remainder(angle - expected, math.tau)) > _AROUND:
             raise DataError(
@@ -205,6 +210,7 @@ def _require_printer(path: Path | str, geometry: DeltaGeometry) -> None:
                 f"{path}: the switch of tower {tower} would trip with the nozzle at {quantity_text(end, 'mm', 'g')},"
                 " below the bed; correct it"
             )
+    return geometry
 
 
 def _require_own_words(path: Path | str) -> None:
@@ -222,7 +228,7 @@ def _require_own_words(path: Path | str) -> None:
         if keys[0] in known and "M665" not in text:
             example = " ".join(f"{letter}{known.get(key, f'<{key}>')}" for letter, key in zip("LRH", keys, strict=True))
             trims = [known.get(f"{axis}_trim", "0") for axis in ("alpha", "beta", "gamma")]
-            ends = f"M666 X{trims[0]} Y{trims[1]} Z{trims[2]}" if firmware == "Smoothieware" else "M666 X0 Y0 Z0"
+            ends = f"M666 X{trims[0]} Y{trims[1]} Z{trims[2]}"
             raise DataError(
                 f"{path}: these are settings of {firmware}; write the lines 'M665 {example}' and '{ends}' into a file,"
                 " and give that with --marlin (check that the numbers are those that the printer uses)"
@@ -287,24 +293,22 @@ def read_printer(path: Path | str, firmware: str) -> PrinterFile:
         DataError: See these functions.
         InputError: Arms that are too short.
     """
-    try:
-        return read_klipper(path) if firmware == "klipper" else read_m665(path, firmware)
-    except InputError as error:
-        named = str(error).startswith(str(path))
-        raise type(error)(str(error) if named else f"{path}: {error}") from None
+    return read_klipper(path) if firmware == "klipper" else read_m665(path, firmware)
 
 
 def printer_table(printer: PrinterFile) -> str:
     """Return the printer's rows as a file of measurements; `2` marks columns of a distance's second place."""
-    columns: list[tuple[str, list[object]]] = [("pose", [row.name for row in printer.rows])]
+    rows = printer.rows
+
+    def cells(values: FloatArray) -> list[float]:
+        return [round(value, 7) for value in millimetres(values).tolist()]
+
+    columns: list[tuple[str, Sequence[object]]] = [("pose", rows.names)]
     for copy, suffix in enumerate(("", "2")):
-        for k, tower in enumerate(TOWERS):
-            down = [round(millimetres(row.places[min(copy, len(row.places) - 1)][k]), 7) for row in printer.rows]
-            columns.append((f"{tower}{suffix} [mm]", [*down]))
-    for n_places, column in enumerate(("probe_height [mm]", "caliper_distance [mm]"), start=1):
-        read = [round(millimetres(r.value), 7) if len(r.places) == n_places else "" for r in printer.rows]
-        if any(cell != "" for cell in read):
-            columns.append((column, [*read]))
+        columns += [(f"{tower}{suffix} [mm]", cells(rows.places[:, copy, k])) for k, tower in enumerate(TOWERS)]
+    for shown, column in ((rows.is_height, "probe_height [mm]"), (~rows.is_height, "caliper_distance [mm]")):
+        read = [cell if own else "" for cell, own in zip(cells(rows.values), shown, strict=True)]
+        columns += [(column, read)] if np.any(shown) else []
     return format_table(
         columns, [f"from {printer.path}: distances of the carriages below their switches, and measurements there"]
     )

@@ -34,7 +34,7 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
                 " correct it, with its unit, such as arm=288mm"
             )
     geometry = expected_geometry(printer, arm)
-    plan = linear_delta_plan(geometry, 2 if any(len(row.places) == 2 for row in printer.rows) else 1)
+    plan = linear_delta_plan(geometry, 1 if np.all(printer.rows.is_height) else 2)
     urdf, title = out.with_suffix(".urdf"), " ".join(Path(printer.path).name.replace("--", "-").split())
     files = {
         urdf: robot_text(NAME, f"linear delta, cut open: {title}", plan.links, plan.joints),
@@ -43,8 +43,8 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
     }
     output.check(*map(str, files))
     write_files({file: text.encode() for file, text in files.items()}, force=output.force)
-    spans = len(printer.rows) - sum(len(row.places) == 1 for row in printer.rows)
-    rows = f", with {count_noun(len(printer.rows) - spans, 'height')} and {count_noun(spans, 'distance')}"
+    heights = int(np.sum(printer.rows.is_height))
+    rows = f", with {count_noun(heights, 'height')} and {count_noun(len(printer.rows) - heights, 'distance')}"
     output.say(f"{', '.join(map(str, files))} written{rows if printer.rows else ''}")
     if printer.rows:
         output.say(_saved_errors(printer))
@@ -52,11 +52,9 @@ def _write(firmware: str, file: str, given: Sequence[str], out: Path, output: Ou
 
 
 def _saved_errors(printer: PrinterFile) -> str:
-    errors, parts = residuals(printer.geometry, printer.rows), []
-    for noun, n_places in (("heights", 1), ("distances", 2)):
-        of_kind = errors[[len(row.places) == n_places for row in printer.rows]]
-        if of_kind.size:
-            parts.append(f"{noun} {quantity_text(np.sqrt(np.mean(of_kind**2)), 'mm', '.4f')} RMS")
+    errors, is_height = residuals(printer.geometry, printer.rows), printer.rows.is_height
+    kinds = {"heights": errors[is_height], "distances": errors[~is_height]}
+    parts = [f"{n} {quantity_text(np.sqrt(np.mean(e**2)), 'mm', '.4f')} RMS" for n, e in kinds.items() if e.size]
     return (
         f"errors of the settings in {Path(printer.path).name}: {', '.join(parts)}; the firmware computed these"
         " settings from the same rows, so the verdict compares a fit with the printer as designed"

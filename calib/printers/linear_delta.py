@@ -89,20 +89,21 @@ class DeltaGeometry:
             )
 
     @property
-    def carriages(self) -> tuple[float, ...]:
-        """E, heights of the carriages at their switches [m]."""
-        return tuple(
-            end + math.sqrt(arm**2 - self.radius**2) for end, arm in zip(self.endstops, self.arms, strict=True)
+    def tops(self) -> FloatArray:
+        """Places of the carriages at their switches, (3, 3) [m]: towers at R and alpha, at the heights E."""
+        towers = zip(self.angles, self.arms, self.endstops, strict=True)
+        R = self.radius
+        return np.array(
+            [(R * math.cos(angle), R * math.sin(angle), end + math.sqrt(arm**2 - R**2)) for angle, arm, end in towers]
         )
 
     def nozzle(self, down: FloatArray) -> FloatArray:
-        """Return the nozzle's position, (n, 3) [m]: the lower intersection of the three arms; NaN without one.
+        """Return the nozzle's position, (n, 3) [m], after a travel of the carriages, (n, 3) [m].
 
-        Args:
-            down: Travel of the carriages, (n, 3) [m].
+        It is the lower intersection of the three arms; NaN without one.
         """
-        towers = np.array([(self.radius * math.cos(a), self.radius * math.sin(a)) for a in self.angles])
-        points = np.dstack([np.broadcast_to(towers, (len(down), 3, 2)), np.array(self.carriages) - down])
+        points = np.tile(self.tops, (len(down), 1, 1))
+        points[:, :, 2] -= down
         first, second, third = points[:, 0], points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
         width = np.linalg.norm(second, axis=1)
         ex = second / width[:, None]
@@ -158,12 +159,9 @@ class LinearDelta:
         """Return the origins; see `calib.core.robots.parameters.Parametrisation`."""
         geometry, edited = DeltaGeometry.from_values(values, self._angle_c), {}
         for k, tower in enumerate(TOWERS):
-            angle = geometry.angles[k]
-            place = np.array(
-                [geometry.radius * math.cos(angle), geometry.radius * math.sin(angle), geometry.carriages[k]]
-            )
+            turn = pin.rpy.rpyToMatrix(0.0, 0.0, geometry.angles[k])
             for suffix in self._suffixes:
-                edited[f"tower_{tower}{suffix}"] = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, angle), place)
+                edited[f"tower_{tower}{suffix}"] = pin.SE3(turn, geometry.tops[k])
                 edited[f"arm_{tower}{suffix}_end"] = pin.SE3(np.eye(3), np.array([0.0, 0.0, -geometry.arms[k]]))
         return edited
 
@@ -199,10 +197,9 @@ def linear_delta_plan(geometry: DeltaGeometry, copies: int = 1) -> Plan:
         for k, tower in enumerate(TOWERS):
             angle, arm, carriage = geometry.angles[k], geometry.arms[k], f"carriage_{tower}{suffix}"
             name = f"arm_{tower}{suffix}"
-            place = (geometry.radius * math.cos(angle), geometry.radius * math.sin(angle), geometry.carriages[k])
-            plan.add_fixed_joint(f"tower_{tower}{suffix}", BASE, f"top_{tower}{suffix}", place, turned=angle)
-            down = geometry.endstops[k] - height
-            room = (-0.01, geometry.carriages[k])
+            top = geometry.tops[k]
+            plan.add_fixed_joint(f"tower_{tower}{suffix}", BASE, f"top_{tower}{suffix}", top, turned=angle)
+            down, room = geometry.endstops[k] - height, (-0.01, float(top[2]))
             plan.slider(f"{tower}{suffix[1:]}", f"top_{tower}{suffix}", carriage, down, "0 0 -1", room, motor=True)
             lean = math.asin(geometry.radius / arm)
             plan.hinge(f"{name}_y", carriage, f"{name}_cross", lean, axis="0 1 0")

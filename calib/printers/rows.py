@@ -9,11 +9,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
 
+from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.core.base.errors import DataError
 from calib.core.base.units import from_unit, millimetres, quantity_text
 from calib.core.base.words import listing
@@ -28,29 +29,34 @@ _ALIKE = 0.02  # largest relative difference of equal arms
 _STEP = 1e-6  # step of central differences [m or rad]
 
 
-@dataclass(frozen=True)
-class PrinterReading:
-    """A measured number: the height of a place, or the distance of two.
+@dataclass(frozen=True, eq=False)
+class PrinterRows(ReadOnlyArrays):
+    """Measured numbers, heights of a place before distances of two.
 
     Attributes:
-        name, line: Name and line in the file.
-        value: Measured value [m].
-        places: Travel of the three carriages down to the place, (3,) [m]: one place, or two for a distance.
+        names, lines: Name and line of each in the file.
+        is_height: Mask of the heights, (n,).
+        values: Measured values, (n,) [m].
+        places: Travel of the three carriages down to both places, which are one for a height, (n, 2, 3) [m].
     """
 
-    name: str
-    line: int
-    value: float
-    places: tuple[tuple[float, ...], ...]
+    names: tuple[str, ...] = ()
+    lines: tuple[int, ...] = ()
+    is_height: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    values: FloatArray = field(default_factory=lambda: np.zeros(0))
+    places: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 3)))
+
+    def __len__(self) -> int:
+        return len(self.names)
 
 
 @dataclass(frozen=True)
 class PrinterFile:
-    """A printer's settings: file, geometry, and measured rows, heights first."""
+    """A printer's settings: file, geometry, and measured rows."""
 
     path: str
     geometry: DeltaGeometry
-    rows: tuple[PrinterReading, ...] = ()
+    rows: PrinterRows = field(default_factory=PrinterRows)
 
 
 def _are_alike(arms: tuple[float, ...]) -> bool:
@@ -64,9 +70,7 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     to the millimetre, and equal endstops. If distances were measured, all arms have the mean length, rounded to the
     millimetre. Without rows, and for arms that no distance has changed, the file's numbers are used.
 
-    Args:
-        printer: The printer.
-        arm: Designed or measured length of the arms [m], or None.
+    A designed or measured length `arm` of the arms [m] replaces theirs.
 
     Raises:
         DataError: The file's arms are not equal, and none is stated.
@@ -82,7 +86,7 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     def rounded(values: tuple[float, ...]) -> float:
         return from_unit(float(round(millimetres(sum(values) / len(values)))), "mm")
 
-    if arm is None and any(len(row.places) == 2 for row in printer.rows):
+    if arm is None and not np.all(printer.rows.is_height):
         arm = rounded(file.arms)
     arms = file.arms if arm is None else (arm, arm, arm)
     if not printer.rows:
@@ -91,20 +95,17 @@ def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGe
     return DeltaGeometry(rounded((file.radius,)), tower_angles(file.angles[2]), arms, (end, end, end))
 
 
-def residuals(geometry: DeltaGeometry, rows: tuple[PrinterReading, ...]) -> np.ndarray:
+def residuals(geometry: DeltaGeometry, rows: PrinterRows) -> FloatArray:
     """Return predicted minus measured values, (n_rows,) [m]; NaN where the arms do not meet."""
-    first, last = (geometry.nozzle(np.array([row.places[k] for row in rows])) for k in (0, -1))
-    lengths = np.where([len(row.places) == 1 for row in rows], first[:, 2], np.linalg.norm(last - first, axis=1))
-    return np.asarray(lengths - [row.value for row in rows])
+    first, last = (geometry.nozzle(rows.places[:, k]) for k in (0, 1))
+    return np.where(rows.is_height, first[:, 2], np.linalg.norm(last - first, axis=1)) - rows.values
 
 
 def require_steps(printer: PrinterFile, micro: Sequence[float]) -> None:
     """Raise `DataError` if the positions of the file fit with other microsteps than stated, of three motors."""
 
     def median_error(factors: tuple[float, ...]) -> float:
-        scaled = tuple(
-            replace(row, places=tuple(tuple(np.multiply(p, factors)) for p in row.places)) for row in printer.rows
-        )
+        scaled = replace(printer.rows, places=printer.rows.places * factors)
         values = np.abs(residuals(printer.geometry, scaled))
         return float(np.median(np.where(np.isnan(values), np.inf, values)))
 
@@ -132,16 +133,16 @@ def require_steps(printer: PrinterFile, micro: Sequence[float]) -> None:
 
 def require_plausible(printer: PrinterFile) -> None:
     """Raise `DataError` for a row far from the prediction of all others."""
-    probed = [row for row in printer.rows if row.name.startswith("height")]
-    values = [row.value for row in probed]
-    for row in probed:
-        others = {value for value in values if value != row.value}
-        if len(probed) > 3 and values.count(row.value) == 1 and len(others) == 1:
+    rows = printer.rows
+    heights = rows.values[rows.is_height].tolist()
+    for k, value in enumerate(heights):
+        others = set(heights) - {value}
+        if len(heights) > 3 and heights.count(value) == 1 and len(others) == 1:
             raise DataError(
-                f"{printer.path}, line {row.line}: {row.name} is {quantity_text(row.value, 'mm', 'g')}, and all others"
-                f" are {quantity_text(others.pop(), 'mm', 'g')}, the offset of the probe; correct it"
+                f"{printer.path}, line {rows.lines[k]}: {rows.names[k]} is {quantity_text(value, 'mm', 'g')}, and all"
+                f" others are {quantity_text(others.pop(), 'mm', 'g')}, the offset of the probe; correct it"
             )
-    saved = np.abs(residuals(printer.geometry, printer.rows))
+    saved = np.abs(residuals(printer.geometry, rows))
     saved = np.where(np.isnan(saved), np.inf, saved)
     k, off, chance = int(np.argmax(saved)), float(np.max(saved)), 1.0
     errors = left_out_errors(printer) if np.all(np.isfinite(saved)) else None
@@ -150,24 +151,21 @@ def require_plausible(printer: PrinterFile) -> None:
         off, chance = abs(float(errors[0][k])), len(saved) * float(errors[1][k])
     far = len(saved) > 3 and saved[k] > max(_FAR, _TIMES * float(np.median(np.delete(saved, k))))
     if far or (chance < FALSE_ALARM and off > _FAR):
-        row, judges = printer.rows[k], "the other rows" + ("" if errors is not None else " and the saved settings")
+        judges = "the other rows" + ("" if errors is not None else " and the saved settings")
         raise DataError(
-            f"{printer.path}, line {row.line}: {row.name} {quantity_text(row.value, 'mm', 'g')} is"
+            f"{printer.path}, line {rows.lines[k]}: {rows.names[k]} {quantity_text(rows.values[k], 'mm', 'g')} is"
             f" {quantity_text(off, 'mm', '.2f')} off the value from {judges}; correct it or its position, or remove"
             " both"
         )
 
 
-def left_out_errors(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | None:
+def left_out_errors(printer: PrinterFile) -> tuple[FloatArray, FloatArray] | None:
     """Return the error of each row against the prediction of the others, and its probability; None if undetermined.
 
     Saved settings cannot predict: a firmware made them from all rows, including a mistyped one. So each row is left out
     in turn. Nine numbers are estimated from the others and the priors of `calib.printers.linear_delta`, by one step
     from the saved settings (rows are almost linear within a millimetre). The error over its standard deviation is
     Student's t, with the degrees of freedom of the other rows.
-
-    Args:
-        printer: The printer; all of its rows must be reachable.
 
     Returns:
         (n_rows,) [m], and (n_rows,) probabilities. None if rows are too few, or arms are not equal.
@@ -178,7 +176,7 @@ def left_out_errors(printer: PrinterFile) -> tuple[np.ndarray, np.ndarray] | Non
     if not _are_alike(geometry.arms):
         return None
     start, sigma = geometry.values, np.array([error for _, error in PARAMETERS.values()])
-    noise = np.array([HEIGHT if len(row.places) == 1 else DISTANCE for row in rows])
+    noise = np.where(rows.is_height, HEIGHT, DISTANCE)
     ends = [
         [residuals(DeltaGeometry.from_values(start + sign * step, geometry.angles[2]), rows) for sign in (1, -1)]
         for step in _STEP * np.eye(len(start))

@@ -56,13 +56,7 @@ _SIGNED_BY = ("Calibrated by", "Approved by")
 
 
 def certificate_content(result: LoadedResult, stated: TraceabilitySection, found: Budget) -> dict[str, Any]:
-    """Return the data of a certificate as JSON has them, in SI units.
-
-    Args:
-        result: The result.
-        stated: Traceability of its measurements.
-        found: Uncertainty budget of the measurand.
-    """
+    """Return the data of a result's certificate as JSON has them, in SI units."""
     fit = result.fit
     figures, _ = iso_figures(fit.identification, np.random.default_rng(fit.seed))
     digest = hashlib.sha256(Path(result.path, SAVED).read_bytes()).hexdigest()

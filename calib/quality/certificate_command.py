@@ -152,11 +152,7 @@ _MADE = {
 
 
 def signer(key: str, password: Callable[[], str]) -> Callable[[bytes], str]:
-    """Return a function that signs a file's content.
-
-    Args:
-        key: File of the private key (PEM).
-        password: Function that returns the key's password; called only if the key has one.
+    """Return a function that signs a file's content by a private key (PEM); `password` is called if the key has one.
 
     Raises:
         InputError: `cryptography` is not installed, or the file is no such key.
@@ -174,11 +170,7 @@ def signer(key: str, password: Callable[[], str]) -> Callable[[bytes], str]:
 
 
 def verify(path: str, key: str) -> None:
-    """Check a file by the signature beside it.
-
-    Args:
-        path: The file.
-        key: File of the public key (PEM).
+    """Check a file by the signature beside it and a public key (PEM).
 
     Raises:
         InputError: A file is missing, or is no such key.

@@ -10,16 +10,14 @@ from pathlib import Path
 import click
 
 from calib.core.base.files import write_folder
-from calib.core.base.threads import one_blas_thread
 from calib.core.base.words import count_noun, json_file
-from calib.core.base.workers import Progress
 from calib.core.commands.common import Output, load_robot, shared_options
 from calib.core.data.measurement_files import read_measurements
 from calib.quality.documents import Document, DocumentRows
 from calib.quality.installation import installation_checks, machine_facts
 from calib.quality.operation import operation_work
 from calib.quality.performance import performance_work
-from calib.quality.protocol import Check, Outcome, Phase, Protocol, Work, done
+from calib.quality.protocol import Outcome, Phase, Protocol, run_checks
 
 _NOT_QUALIFIED = 3
 _NAMES = ("protocol.html", "protocol.json", "protocol.pdf")
@@ -51,7 +49,7 @@ def command(robot: str | None, data: tuple[str, ...], out: str, output: Output) 
     ]
     started, clock = datetime.datetime.now().astimezone().isoformat(timespec="seconds"), time.perf_counter()
     with output.working("qualifying") as progress:
-        checks = _checks(work, progress)
+        checks = run_checks(work, progress)
     protocol = Protocol(tuple(checks), machine_facts(), started, time.perf_counter() - clock)
     document = protocol_document(protocol)
     contents = (document.html().encode(), json_file(protocol.to_dict()))
@@ -63,15 +61,6 @@ def command(robot: str | None, data: tuple[str, ...], out: str, output: Output) 
     output.say(f"{document.answer}\n{Path(out) / 'protocol.html'} has every check, and lines to sign")
     if not protocol.passed:
         raise SystemExit(_NOT_QUALIFIED)
-
-
-@one_blas_thread
-def _checks(work: list[Work], progress: Progress) -> list[Check]:
-    checks: list[Check] = []
-    for number, piece in enumerate(work, 1):
-        checks += done([piece])
-        progress(number, len(work))
-    return checks
 
 
 def protocol_document(protocol: Protocol) -> Document:

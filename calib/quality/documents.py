@@ -54,15 +54,7 @@ class DocumentRows:
 
 @dataclass(frozen=True)
 class Document:
-    """A document.
-
-    Attributes:
-        title: Its title.
-        answer: The result in one line.
-        tables: Tables that support it.
-        signatures: Signers, one line each.
-        mark: Text on each page that identifies the document.
-    """
+    """A document: the answer in one line, tables that support it, lines for signers, and a mark on each page."""
 
     title: str
     answer: str

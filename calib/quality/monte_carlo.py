@@ -70,20 +70,11 @@ def monte_carlo(
     linear: ErrorPropagation,
     stated: TraceabilitySection,
     known: Budget,
-    draws: int = 400,
+    draws: int,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> MonteCarlo:
-    """Check a budget by repeated fits of drawn inputs.
-
-    Args:
-        linear: The linear model of the fit.
-        stated: Statements for the budget.
-        known: The budget.
-        draws: Number of draws.
-        seed: Seed of all draws.
-        progress: Called after each draw.
-    """
+    """Check a known budget of these statements by repeated fits of drawn inputs."""
     rng = np.random.default_rng(seed)
     instrument, heat = stated.instrument, stated.temperature
     errors = [getattr(instrument, each.attribute) / instrument.divisor for each in SYSTEMATIC for _ in range(each.axes)]
@@ -118,13 +109,9 @@ def monte_carlo(
 
 
 def _deviation(linear: ErrorPropagation, unknowns: Unknowns, readings: FloatArray, mean: FloatArray) -> FloatArray:
-    """Change of positions, (n_coordinates,) [m], for drawn readings and prior means.
+    """Change of positions, (n_coordinates,) [m], for unknowns with drawn sizes.
 
-    Args:
-        linear: The linear model.
-        unknowns: The fitted unknowns, with the drawn sizes.
-        readings: Change of the whitened readings, (n_rows,).
-        mean: Mean of the priors, (n_free,).
+    Drawn are changes of the whitened readings, (n_rows,), and the mean of the priors, (n_free,), too.
     """
     fit = linear.fit
     data, prior = fit.identification.data, unknowns.prior

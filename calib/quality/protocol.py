@@ -6,11 +6,13 @@ files. Operation (OQ): the program reproduces reference results. Performance (PQ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 
 from calib.core.base.errors import CalibrationError
+from calib.core.base.threads import one_blas_thread
+from calib.core.base.workers import Progress
 
 
 class Phase(StrEnum):
@@ -55,14 +57,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Protocol:
-    """All checks of a qualification.
-
-    Attributes:
-        checks: Checks in the order in which they ran.
-        machine: Facts of the machine and of the program, by name.
-        started: Date and time, ISO 8601.
-        seconds: Duration of all checks [s].
-    """
+    """Checks of a qualification in their order, facts of the machine by name, start (ISO 8601) and duration [s]."""
 
     checks: tuple[Check, ...]
     machine: dict[str, str]
@@ -89,10 +84,15 @@ Work = tuple[Phase, str, Callable[[], Iterable[Check]]]
 """A piece of work: its phase, its subject, and the function that does it."""
 
 
-def done(work: Iterable[Work]) -> Iterator[Check]:
-    """Yield the checks of all pieces of work; a piece that ends in an error gives a failed check."""
-    for phase, subject, checks in work:
+@one_blas_thread
+def run_checks(work: Sequence[Work], progress: Progress | None = None) -> list[Check]:
+    """Return the checks of all pieces of work; a piece that ends in an error gives a failed check."""
+    done: list[Check] = []
+    for number, (phase, subject, checks) in enumerate(work, 1):
         try:
-            yield from checks()
+            done.extend(checks())
         except (CalibrationError, ArithmeticError, LookupError, OSError, TypeError, ValueError, RuntimeError) as error:
-            yield Check.from_values(phase, subject, "runs to its end", f"{type(error).__name__}: {error}", False)
+            done.append(Check.from_values(phase, subject, "runs to its end", f"{type(error).__name__}: {error}", False))
+        if progress is not None:
+            progress(number, len(work))
+    return done

@@ -62,14 +62,7 @@ ELSEWHERE = "extrapolation to other poses"
 
 @dataclass(frozen=True)
 class Systematic:
-    """An error of the instrument that all readings share.
-
-    Attributes:
-        quantity: Name of the quantity.
-        attribute: Name in `traceability.instrument`.
-        unit: Its unit.
-        axes: Number of its independent components.
-    """
+    """An error of the instrument that all readings share; `attribute` is its name in `traceability.instrument`."""
 
     quantity: str
     attribute: str
@@ -250,13 +243,7 @@ def _systematic(fit: JudgedFit) -> FloatArray:
 
 
 def budget(linear: ErrorPropagation, stated: TraceabilitySection, poses: PosesLike | None = None) -> Budget:
-    """Return the budget of a fit.
-
-    Args:
-        linear: Its linear model.
-        stated: Statements on instrument, target and temperatures.
-        poses: Other poses at which the robot will be used.
-    """
+    """Return the budget of a fit; `poses` are others at which the robot will be used."""
     fit = linear.fit
     shares = prior_shares(fit.weighted_rows.posterior_information, fit.unknowns.prior)
     freedom = fit.statistics.interval_freedom

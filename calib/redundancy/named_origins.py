@@ -38,12 +38,7 @@ class NamedComponent:
 
 @dataclass(frozen=True, eq=False)
 class NamedOrigins:
-    """A parametrisation by such components, each a deviation from nominal.
-
-    Attributes:
-        components: The table.
-        origins: Nominal origins by name.
-    """
+    """A parametrisation by such components, each a deviation from nominal origins."""
 
     components: tuple[NamedComponent, ...]
     origins: Mapping[str, Origin]

@@ -58,16 +58,6 @@ class DhRow:
     lower: float = -math.inf
     upper: float = math.inf
 
-    @property
-    def motion_along_z(self) -> pin.SE3:
-        """Z of the module docstring, at q = 0."""
-        return z_transform(self.theta, self.d)
-
-    @property
-    def motion_along_x(self) -> pin.SE3:
-        """X of the module docstring."""
-        return x_transform(self.a, self.alpha, self.beta)
-
 
 @dataclass(frozen=True)
 class DhTable:

@@ -70,7 +70,9 @@ def null_groups(
             few other columns of this kind as possible.
         lengths: Divisor of each column after it was scaled by its sigma, (n_columns,); 1 if not given.
     """
-    null = _null_space(scaled_jacobian)
+    factor = reduce_rows(scaled_jacobian)
+    _, values, directions = linalg.svd(factor)
+    null = directions[rank_of(values, factor.shape[1]).rank :].T
     projector = null @ null.T
     vectors: list[FloatArray] = []
     for columns in connected_parts(np.abs(projector) > ZERO):
@@ -102,12 +104,6 @@ def natural_coefficients(group: UnseenGroup, parameters: Sequence[Parameter]) ->
     members = [parameters[k] for k in group.members]
     sizes = [c * p.sigma for c, p in zip(group.coefficients, members, strict=True)]
     return [(p.name, float(size / sizes[0]), p.unit) for p, size in zip(members, sizes, strict=True)]
-
-
-def _null_space(scaled_jacobian: FloatArray) -> FloatArray:
-    factor = reduce_rows(scaled_jacobian)
-    _, values, directions = linalg.svd(factor)
-    return directions[rank_of(values, factor.shape[1]).rank :].T
 
 
 def _part(null: FloatArray, columns: IntArray, dropped: set[int]) -> list[FloatArray]:

@@ -92,10 +92,10 @@ _POINT = """\
   {point}: {{frame: {target}, xyz: [0 mm, 0 mm, 0 mm], position: unknown, sigma: 20 mm}}
 """
 _PLAIN = f"""{_BASE_ANYWHERE}
-# What is measured: columns <name>_x, <name>_y, <name>_z. `xyz` is about where the point is on the link; add
-# `sigma: 10 mm` if you know how far off that may be, which helps where the last joints hardly turned.
+# What is measured: columns <name>_x, <name>_y, <name>_z. `xyz` is about where the point is on the link; `sigma`: how
+# far off that may be. A smaller one helps where the last joints hardly turned.
 targets:
-  {{target}}: {{{{frame: {{target}}, xyz: [0 mm, 0 mm, 0 mm], position: unknown}}}}
+  {{target}}: {{{{frame: {{target}}, xyz: [0 mm, 0 mm, 0 mm], position: unknown, sigma: 500 mm}}}}
 """
 
 
@@ -107,17 +107,16 @@ class Measure:
         text: Base, targets and instruments, as the description has them.
         point: Name of the measured point.
         comments: Advice for filling in the file, line by line; none if a program writes the file.
-        read_apart: Whether readings come in another file, so that this one has the joint values alone.
-        column: A column of readings, as an example.
-        between_ends: Whether it measures between base and end of the robot, at unknown places on both.
+        column: A column of readings, as an example; that of positions of the point if not given.
+        read_apart: Whether readings come in another file, so that this one has the joint values alone; they are made
+            between base and end of the robot, at unknown places on both.
     """
 
     text: str
     point: str
     comments: tuple[str, ...]
+    column: str = ""
     read_apart: bool = False
-    column: str | None = None
-    between_ends: bool = False
 
 
 MEASURES = {
@@ -188,9 +187,8 @@ instruments:
             "one row for each photograph: its name as calib detect writes it, and the joint values of the controller",
             "write the units of your numbers in place of [deg]; 30 photographs or more, with the robot at rest",
         ),
-        read_apart=True,
         column="camera_u",
-        between_ends=True,
+        read_apart=True,
     ),
     "ballbar": Measure(
         f"""{_BASE_KNOWN}
@@ -239,10 +237,9 @@ def description_text(
 
     `measure` is a name in `MEASURES` (positions of the target if not given), `words` its further texts, as YAML.
     """
-    target = next(iter(description.targets))
+    target = link = next(iter(description.targets))
     lengths, angles = default_sections()
     parent = {joint.child: joint for joint in urdf.joints}
-    link = target
     joints: list[str] = []
     while link != description.base.frame:
         joints.insert(0, parent[link].name)
@@ -281,13 +278,13 @@ def description_text(
         measured=measured,
         sigma=_SIGMA if how is None else "",
         base=quoted(description.base.frame),
-        column=f"{quoted(target) if how is None else point}_x [m]" if how is None or how.column is None else how.column,
+        column=(how and how.column) or f"{quoted(target) if how is None else point}_x [m]",
         joints=" ".join(", ".join(joints).split()),
         length=lengths.sigma,
         angle=angles.sigma,
-        held=_HELD.format(example=quoted(description.name_mot[0]))
-        if how is None or not how.between_ends
-        else _HELD_ENDS.format(held=quoted(_end_components(urdf, joints))),
+        held=_HELD_ENDS.format(held=quoted(_end_components(urdf, joints)))
+        if how is not None and how.read_apart
+        else _HELD.format(example=quoted(description.name_mot[0])),
         example=quoted(description.name_mot[0]),
     )
 

@@ -31,6 +31,7 @@ from calib.shared.denavit_hartenberg import (
     DhTable,
     Kind,
     new_name,
+    x_transform,
     z_transform,
 )
 
@@ -183,11 +184,10 @@ def _urdf_text(table: DhTable, name: str) -> str:
 
 def _origin(convention: Convention, rest: pin.SE3, row: DhRow) -> tuple[pin.SE3, pin.SE3]:
     """The URDF origin of a row's joint, and the transform that remains for the next row."""
+    along_z, along_x = z_transform(row.theta, row.d), x_transform(row.a, row.alpha, row.beta)
     if convention == "modified":
-        return rest * row.motion_along_x * row.motion_along_z, pin.SE3.Identity()
-    if row.kind == "fixed":
-        return rest * row.motion_along_z * row.motion_along_x, pin.SE3.Identity()
-    return rest * row.motion_along_z, row.motion_along_x
+        return rest * along_x * along_z, pin.SE3.Identity()
+    return (rest * along_z * along_x, pin.SE3.Identity()) if row.kind == "fixed" else (rest * along_z, along_x)
 
 
 def _slide_origin(origin: pin.SE3, rest: pin.SE3) -> tuple[pin.SE3, pin.SE3]:

@@ -26,7 +26,7 @@ from calib.core.instruments.pixel import Pixel
 from calib.core.robots.configurations import near_singularities
 from calib.core.robots.robot import Robot
 from calib.core.rows.simulate import simulate, unstated_noise
-from calib.shared.free_poses import free_poses
+from calib.shared.pose_check import free_poses
 
 
 @click.command("simulate")

@@ -221,11 +221,11 @@ def study(
             source = simulated_draws(robot, poses, truth, sigma, noise)
         elif truth is not None or noise is not None:
             raise InputError("resample: simulates nothing, so truth and noise have no effect; leave them out")
-        elif not isinstance(poses, Measurements):
+        elif isinstance(poses, Measurements):
+            source = poses
+        else:
             need = "needs measurements, as calib.read_measurements reads them; these are poses alone"
             raise InputError(f"resample: {need}")
-        else:
-            source = poses
         setting = _prepare(robot, source, settings, elsewhere, shared, draws)
         if setting.compiled and workers is not None:
             _chunk(setting, range(1))  # compiles once, so that workers only load the result
@@ -266,16 +266,14 @@ def _prepare(
     if not first.converged:
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")
-    drawing: SimulatedDraws | ResampledDraws
+    each = 4 * len(first.unknowns) + len(first.noise) + 3 + 6 * len(q) * len(robot.target_names)
+    require_memory(2 * draws * each, count_noun(draws, "draw"), "ask for fewer")
     if isinstance(source, Measurements):
-        drawing = ResampledDraws(first.robot, source, first.configurations.passive)
+        drawing: SimulatedDraws | ResampledDraws = ResampledDraws(first.robot, source, first.configurations.passive)
     else:
         drawing = source
     use_compiled = pays(draws * len(data)) or compilation_requested()
-    setting = _Setting(drawing, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
-    each = 4 * len(first.unknowns) + len(first.noise) + 3 + 6 * len(q) * len(robot.target_names)
-    require_memory(2 * draws * each, count_noun(draws, "draw"), "ask for fewer")
-    return setting
+    return _Setting(drawing, RepeatedCalibration(first, settings), q, near, use_compiled, seed)
 
 
 def _seed_of_draw(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
@@ -303,10 +301,9 @@ def _chunk(setting: _Setting, numbers: range) -> tuple[list[Draws], list[str]]:
 
 
 def _draw(setting: _Setting, truth: Robot, fit: Fit) -> Draws:
-    known, sigma = fit.interval_statistics, np.array([estimate.sigma for estimate in fit.noise])
-    true = truth.values_by_name
-    none: FloatArray = np.zeros((0, len(truth.target_names), 3))
-    errors = half_width = none
+    known, true = fit.interval_statistics, truth.values_by_name
+    half_width: FloatArray = np.zeros((0, len(truth.target_names), 3))
+    errors = half_width
     if len(setting.prediction_joints):
         q, near = setting.prediction_joints, setting.prediction_passive
         predicted = fit.uncertainty.predict(fit.robot, q, near=near, turns=False)
@@ -319,7 +316,7 @@ def _draw(setting: _Setting, truth: Robot, fit: Fit) -> Draws:
         fit.robot.values[fit.unknowns.index],
         known.std,
         known.half_width,
-        sigma,
+        [estimate.sigma for estimate in fit.noise],
         np.nan if square is None else square.value,
         known.freedom,
         float(len(outliers(fit)) > 0),

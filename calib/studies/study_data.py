@@ -82,10 +82,7 @@ class SimulatedDraws:
 class ResampledDraws:
     """Poses of measurements drawn with replacement.
 
-    Attributes:
-        truth: The robot, calibrated from all poses.
-        data: All measurements.
-        passive: Passive joints of this robot at the visits, (n, n_passive) [m or rad].
+    `truth` is calibrated from all of `data`; `passive` are its passive joints at the visits, (n, n_passive) [m or rad].
     """
 
     truth: Robot

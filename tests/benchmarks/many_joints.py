@@ -31,8 +31,8 @@ parametrisation:
 """
 
 
-def chain(n, rng):
-    """A robot of n turning joints, one after another, their axes in turn along z, y and x."""
+def write_chain(folder, n, rng):
+    """Write a robot of n turning joints, one after another, their axes in turn along z, y and x; return its path."""
     text = '<robot name="chain"><link name="link0"/>'
     for k in range(n):
         x, y, z = rng.uniform(-0.12, 0.12, 3) + np.array([0.0, 0.0, 0.1])
@@ -43,12 +43,16 @@ def chain(n, rng):
             f'<origin xyz="{x:.3f} {y:.3f} {z:.3f}"/><axis xyz="{AXES[k % 3]}"/>'
             '<limit lower="-1.5" upper="1.5" effort="100" velocity="1"/></joint>'
         )
-    joints = ", ".join(f"j{k + 1}" for k in range(n))
+    (folder / "chain.urdf").write_text(text + "</robot>")
+    path = folder / "chain.yaml"
+    path.write_text(DESCRIPTION.format(joints=", ".join(f"j{k + 1}" for k in range(n)), last=n))
+    return path
+
+
+def chain(n, rng):
+    """The robot of `write_chain`."""
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "chain.urdf").write_text(text + "</robot>")
-        path = Path(folder) / "chain.yaml"
-        path.write_text(DESCRIPTION.format(joints=joints, last=n))
-        return calib.load(path)
+        return calib.load(write_chain(Path(folder), n, rng))
 
 
 def measured(robot, n_poses, rng):

@@ -1,4 +1,4 @@
-"""How fast everything is, as ratios within one run, and docs/performance.md from it.
+"""How fast everything is, as ratios within one run: the tables of docs/performance.md.
 
     python -m tests.benchmarks.performance [--data FOLDER] [--write FILE] [--quick]
 
@@ -25,6 +25,7 @@ from medrue.workspace import target_workspace
 from tests.benchmarks import evaluations, growth, shares, waiting, whole_commands
 from tests.benchmarks.hand_written import Arm, fit
 from tests.benchmarks.timing import fast, least
+from tests.public_data import markdown, written
 
 ARMS = {  # priors of hand-written fits: origins' lengths and angles, place of the point; the point; noise to state
     "arm": ((1e-3, 3e-3, 5e-3), (0.02, 0.0, 0.05), 3e-5),
@@ -144,109 +145,41 @@ def studies(draws, rounds):
     return taken["fit"], taken["study"] / draws, taken["compiled"] / draws if NUMBA else None
 
 
-def page(folder, rounds, draws):
-    """Lines of docs/performance.md."""
-    robots = evaluations.problems(folder)
-    yield """# Performance
-
-For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. Things
-that are compared ran in turn, with one thread of linear algebra. Each time is the shortest of 15 runs (of 3 for whole
-commands). `python -m tests.benchmarks.performance --data FOLDER --write docs/performance.md` makes this page, with
-the [measurements of others](benchmarks.md) in FOLDER; `make bench` prints it.
-
-## Kinematics through closed loops
-
-The table has the work for each of 420 poses of MedRUE after a small step of the parameters, and the work of whole fits.
-The unit is one call of Pinocchio's `computeJointJacobians` from Python.
-
-With the extra `fast`, numba compiles the same formulas (the same numbers to 1e-12), which takes about 5 s once for each
-version. Studies of many calibrations and work on thousands of poses use it, and so does code under `with
-calib.core.robots.acceleration.compile_kinematics():`.
-
-| work for each pose | over Pinocchio's loop | with `fast` |
-|---|---:|---:|"""
-    for row in kinematics(rounds):
-        yield f"| {' | '.join(row)} |"
-    yield """
-The work called *both* above for three robots with loops, after a smaller step of the parameters:
-
-| robot | parameters | over Pinocchio's loop | with `fast` |
-|---|---:|---:|---:|"""
-    for row in with_loops(rounds):
-        yield f"| {' | '.join(map(str, row))} |"
-    yield """
-## A fit against a hand-written one
-
-`tests/benchmarks/hand_written.py` is a fit for one serial arm: batched numpy, Gauss-Newton steps, no checks, no
-statistics. It shares no code with `calib` and reaches the same minimum: the sums of squares agree to a millionth.
-`calib.fit` also judges data, rank and convergence, and computes covariances, intervals and errors.
-
-| arm | poses | unknowns | fit over hand-written | with `fast` | with verdict | and report | evaluations | its own |
-|---|---:|---:|---:|---:|---:|---:|---:|---:|"""
-    for row in fits(robots, rounds):
-        yield f"| {' | '.join(map(str, row))} |"
-    yield """
-Where the time of a small fit and its verdict goes, as parts of both together (this table alone:
-`python -m tests.benchmarks.shares --data FOLDER`):
-"""
-    yield from shares.table(folder, 2 * rounds)
+def tables(folder, rounds, draws):
+    """Yield the tables of the page by the names of their places."""
+    over = "over Pinocchio's loop", "with `fast`"
+    yield "kinematics", markdown(["work for each pose", *over], kinematics(rounds))
+    yield "loops", markdown(["robot", "parameters", *over], with_loops(rounds))
+    head = ["arm", "poses", "unknowns", "fit over hand-written", "with `fast`", "with verdict", "and report"]
+    yield "fits", markdown([*head, "evaluations", "its own"], fits(evaluations.problems(folder), rounds))
+    yield "shares", "\n".join(shares.table(folder, 2 * rounds))
     alone, *drawn = studies(draws, max(rounds // 10, 1))
-    yield f"""
-## Many calibrations
-
-A draw of [`calib.study`](howto/many_calibrations.md) is a fit that starts from the first one and ends at the numbers of
-a single fit, in less time.
-MedRUE, 84 poses, {draws} draws; the times are those of the machine that made this page.
-
-| | a single fit takes as long as | processor time of a draw | of 10 000 draws, on two cores |
-|---|---:|---:|---:|"""
-    for name, each in zip(("draws", "draws, with `fast`"), drawn, strict=True):
-        if each is not None:
-            yield f"| {name} | {alone / each:.1f} draws | {1e3 * each:.1f} ms | {1e4 * each / 120:.1f} min |"
-    yield """
-## Whole commands
-
-Time from prompt to prompt: simulated measurements, modules compiled to byte code, kinematics by numba. The unit is a
-program that only imports the libraries that a fit with pages needs. Commands on 100 000 rows and more, and those of
-`medrue`, ran once. This table alone:
-`python -m tests.benchmarks.whole_commands --data FOLDER`.
-"""
-    yield from whole_commands.table(folder, max(rounds // 5, 1))
-    yield """
-## What people wait for
-
-In a program that is already running (this table alone: `python -m tests.benchmarks.waiting --data FOLDER`):
-"""
-    yield from waiting.table(folder, max(rounds // 5, 1))
-    yield """
-Joint terms of many joints: a simulated chain, in a process of its own (`python -m tests.benchmarks.many_joints`):
-"""
-    yield subprocess.run(
-        [sys.executable, "-m", "tests.benchmarks.many_joints"], capture_output=True, text=True, check=True
-    ).stdout.rstrip()
-    yield """
-## Growth
-
-Slopes of processor time: 1 where twice as much takes twice as long. Without `fast`. This table alone:
-`python -m tests.benchmarks.growth --data FOLDER`.
-"""
-    yield from growth.table(folder, max(rounds // 5, 1))
+    rows = [
+        [name, f"{alone / each:.1f} draws", f"{1e3 * each:.1f} ms", f"{1e4 * each / 120:.1f} min"]
+        for name, each in zip(("draws", "draws, with `fast`"), drawn, strict=True)
+        if each is not None
+    ]
+    head = ["", "a single fit takes as long as", "processor time of a draw", "of 10 000 draws, on two cores"]
+    yield "draws", markdown(head, rows)
+    few = max(rounds // 5, 1)
+    yield "commands", "\n".join(whole_commands.table(folder, few))
+    yield "waiting", "\n".join(waiting.table(folder, few))
+    many = [sys.executable, "-m", "tests.benchmarks.many_joints"]  # a process of its own: memory counts
+    yield "joints", subprocess.run(many, capture_output=True, text=True, check=True).stdout.rstrip()
+    yield "growth", "\n".join(growth.table(folder, few))
 
 
 def main():
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, help="folder with measurements of others")
-    parser.add_argument("--write", type=Path, help="page to write")
+    parser.add_argument("--write", type=Path, help="page to write the tables into")
     parser.add_argument("--quick", action="store_true", help="few rounds")
     options = parser.parse_args()
-    rounds, draws = (3, 20) if options.quick else (15, 200)
-    lines = []
-    for line in page(options.data, rounds, draws):
-        print(line, flush=True)
-        lines.append(line)
-    if options.write:
-        options.write.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    for name, table in tables(options.data, *((3, 20) if options.quick else (15, 200))):
+        print(f"{name}\n\n{table}\n", flush=True)
+        if options.write:
+            written(options.write, name, table)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ OF_FIT = {
     "uncertainty": "uncertainty_at",
 }
 """Parts of a fit, and their functions in `calib.core.fitting.fit`."""
-OF_VERDICT = {"patterns": ("systematic",), "scales": ("lengths_scaled", "joints_scaled"), "loops": ("check_assembly",)}
+OF_VERDICT = {"patterns": ("systematic",), "scales": ("lengths_scaled", "joints_scaled"), "loops": ("check_solution",)}
 """Parts of a verdict, and their rules."""
 
 

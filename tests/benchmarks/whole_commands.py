@@ -17,9 +17,11 @@ import numpy as np
 
 import calib
 from calib.core.base.units import PER_SI, millimetres
+from calib.core.data.measurement_files import format_measurements
 from calib.core.data.table_writing import format_table
 from medrue import robot_file
 from medrue.workspace import target_workspace
+from tests.benchmarks import many_joints
 from tests.benchmarks.timing import print_table
 from tests.project import EXAMPLES, ROOT
 
@@ -108,6 +110,14 @@ def prepared(folder, data):
     taken(["-m", "calib", *read], folder)
     paged = ["fit", str(robots["arm"]), "paged-read.csv", "--out", "paged"]
     commands["`calib fit`, 1000 poses, arm, with pages"] = paged
+    for n in (6, 18):
+        own = folder / f"chain-{n}"
+        own.mkdir()
+        chain = calib.load(many_joints.write_chain(own, n, np.random.default_rng(7)))
+        read = format_measurements(chain, many_joints.measured(chain, 400, np.random.default_rng(3)), ())
+        (own / "read.csv").write_text(read)
+        fit = ["fit", f"chain-{n}/chain.yaml", f"chain-{n}/read.csv", "--terms", "auto", "--no-pages"]
+        commands[f"`calib fit --terms auto`, 400 poses, chain of {n} joints"] = [*fit, "--out", f"chain-{n}-fit"]
     if data:
         (folder / "robot.urdf").write_bytes((data / "ur10_tracker" / "robot.urdf").read_bytes())
         (folder / "ur10.yaml").write_bytes((EXAMPLES / "ur10_tracker.yaml").read_bytes())

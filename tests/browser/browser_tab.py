@@ -120,6 +120,11 @@ class Tab:
         return float(np.mean(np.abs(self.picture() - before).max(axis=2) > 24))
 
 
+def wait(tab, condition):
+    """Wait until a condition on the viewer `v` holds."""
+    tab.page.wait_for_function(f"() => {{ const v = calibrationViewer; return {condition}; }}", timeout=10000)
+
+
 def slide(tab, name, value):
     """Set a slider to a step, as a hand does."""
     tab.page.locator(f"#{name}").evaluate(

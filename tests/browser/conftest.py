@@ -9,8 +9,8 @@ from tests.browser.browser_tab import SIZE, Tab
 
 CHROMIUM = Path("/usr/bin/chromium")
 
-KEPT_TABS: list[Tab] = []
-"""Tabs that tests of several files share."""
+KEPT_TABS: dict[str, Tab] = {}
+"""Tabs that tests share, by name."""
 
 
 @pytest.fixture(scope="session")
@@ -55,42 +55,39 @@ def viewer_file(scene, tmp_path_factory):
 def pytest_runtest_teardown(item, nextitem):
     """Empty the tabs where other tests follow: a page draws on, and takes a twentieth of a processor."""
     if nextitem is None or nextitem.path.parent != item.path.parent:
-        for opened in KEPT_TABS:
+        for opened in KEPT_TABS.values():
             opened.empty()
 
 
-def _kept_tab(chromium):
-    KEPT_TABS.append(Tab(chromium))
-    return KEPT_TABS[-1]
+@pytest.fixture
+def kept(chromium):
+    """The tab of a name, which tests share, as a new one takes a second; it must not complain."""
+    used = []
 
+    def tab(name, **options):
+        used.append(KEPT_TABS.setdefault(name, None) or Tab(chromium, **options))
+        KEPT_TABS[name] = used[-1]
+        return used[-1]
 
-@pytest.fixture(scope="session")
-def kept_tab(chromium):
-    return _kept_tab(chromium)
-
-
-@pytest.fixture(scope="session")
-def kept_for_others(chromium):
-    return _kept_tab(chromium)
+    yield tab
+    assert [problem for tab in used for problem in tab.problems] == []
 
 
 @pytest.fixture
-def show(kept_for_others):
-    """Show any page, `show(address, ready, size)`: the tests share one tab, as a new one takes a second."""
-    tab = kept_for_others
+def show(kept):
+    """Show any page: `show(address, ready, size)`."""
 
     def shown(address, ready="body[data-ready]", size=SIZE):
+        tab = kept("others")
         tab.problems.clear()
         tab.requests.clear()
         tab.page.set_viewport_size({"width": size[0], "height": size[1]})
         return tab.open(address, ready)
 
-    yield shown
-    assert tab.problems == []
+    return shown
 
 
 @pytest.fixture
-def tab(kept_tab, viewer_file):
+def tab(kept, viewer_file):
     """The viewer as it is at first; the tests share one page, which takes seconds to load."""
-    yield kept_tab.like_new(viewer_file.as_uri())
-    assert kept_tab.problems == []
+    return kept("viewer").like_new(viewer_file.as_uri())

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import viz
-from tests.browser.browser_tab import Tab
+from tests.browser.browser_tab import Tab, wait
 from tests.viz.test_viz_live import progress
 from tests.viz.viz_examples import five_bar_fit, medrue_fit, medrue_robot
 
@@ -47,10 +47,6 @@ def ending(chromium, fit):
     """A program that ends."""
     with followed(chromium, medrue_robot(), fit, size=(1200, 800)) as fresh:
         yield fresh
-
-
-def wait(tab, condition):
-    tab.page.wait_for_function(f"() => {{ const v = calibrationViewer; return {condition}; }}", timeout=5000)
 
 
 def test_the_page_follows_the_program(live):

@@ -23,17 +23,10 @@ def long_named(tmp_path_factory):
     return fit, scene_page(scene_of_fit(fit)).save(folder / "viewer.html")
 
 
-@pytest.fixture(scope="module")
-def kept_long_named(chromium):
-    with Tab(chromium) as tab:
-        yield tab
-
-
 @pytest.fixture(scope="module", params=SIZES.values(), ids=SIZES)
-def long_named_tab(kept_long_named, long_named, request):
-    width, height = request.param
-    kept_long_named.page.set_viewport_size({"width": width, "height": height})
-    return kept_long_named.open(long_named[1].as_uri())
+def long_named_tab(chromium, long_named, request):
+    with Tab(chromium, request.param) as tab:
+        yield tab.open(long_named[1].as_uri())
 
 
 def test_the_panel_never_scrolls_sideways_and_no_number_covers_another(long_named_tab):

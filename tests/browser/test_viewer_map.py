@@ -5,7 +5,7 @@ import pytest
 
 import calib
 import viz
-from tests.browser.browser_tab import Tab, slide
+from tests.browser.browser_tab import slide
 
 
 @pytest.fixture(scope="module")
@@ -15,16 +15,9 @@ def map_file(tmp_path_factory):
     return viz.page(robot, fit, mapped=400).save(tmp_path_factory.mktemp("map") / "viewer.html")
 
 
-@pytest.fixture(scope="module")
-def kept_map(chromium):
-    with Tab(chromium) as tab:
-        yield tab
-
-
 @pytest.fixture
-def mapped(kept_map, map_file):
-    yield kept_map.like_new(map_file.as_uri())
-    assert kept_map.problems == []
+def mapped(kept, map_file):
+    return kept("map").like_new(map_file.as_uri())
 
 
 def choose(tab, name, value):

@@ -6,7 +6,7 @@ import pytest
 
 import calib
 import viz
-from tests.browser.browser_tab import Tab, slide
+from tests.browser.browser_tab import slide, wait
 from tests.project import EXAMPLES, copied
 from tests.viz.viz_examples import medrue_fit
 from viz.bodies import posed_robot
@@ -16,20 +16,9 @@ from viz.viewer_page import scene_page
 PART = "v.stage.marks.uniforms.state.value"
 
 
-@pytest.fixture(scope="module")
-def kept_moving(chromium):
-    with Tab(chromium, reduced_motion="no-preference") as tab:
-        yield tab
-
-
 @pytest.fixture
-def moving(kept_moving, viewer_file):
-    yield kept_moving.like_new(viewer_file.as_uri())
-    assert kept_moving.problems == []
-
-
-def wait(tab, condition):
-    tab.page.wait_for_function(f"() => {{ const v = calibrationViewer; return {condition}; }}", timeout=10000)
+def moving(kept, viewer_file):
+    return kept("moving", reduced_motion="no-preference").like_new(viewer_file.as_uri())
 
 
 def test_errors_become_those_of_the_other_state_step_by_step(moving):

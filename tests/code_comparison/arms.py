@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import calib
 from tests.public_data import off_two_points
 
 from .codes import HERE
-from .data_set import DataSet, Rows, Split
+from .data_set import DataSet, Rows, Split, write_json
 
 sys.path.insert(0, str(HERE))  # what codes share among each other imports as they do
 from exchange import moved
@@ -62,16 +61,13 @@ class Arm(DataSet):
         poses = Chain(folder / "robot.urdf", self.base, self.link, list(self.joints)).poses(split.train.q)
         point = np.array(self.point)
         T, p = (np.eye(4), point) if self.spacing else placed(poses, split.train.read, point, self.point_sigma)
-        read = ["place", "socket"] if self.spacing else ["x", "y", "z"]
-        self.write_problem(split, folder, read, T_measured_base=T.tolist(), p_link_point=p.tolist())
+        self.write_problem(split, folder, T_measured_base=T, p_link_point=p)
 
-    def write_problem(self, split: Split, folder: Path, read: list[str], **start: object) -> None:
-        """Write the joints, what was read of them (the names of its columns), and where a fit may start."""
+    def write_problem(self, split: Split, folder: Path, **start: object) -> None:
+        """Write the joints, what was read of them, and where a fit may start."""
         names = ("joints", "base", "link", "point", "point_sigma", "length_sigma", "angle_sigma", "spacing")
-        (folder / "problem.json").write_text(json.dumps({name: getattr(self, name) for name in names} | start))
-        train = np.hstack([split.train.q, split.train.read])
-        for name, head, table in (("train", [*self.joints, *read], train), ("unseen", self.joints, split.unseen.q)):
-            np.savetxt(folder / f"{name}.csv", table, "%.17g", ",", header=",".join(head), comments="")
+        rows = {"q": split.train.q, "read": split.train.read, "unseen": split.unseen.q}
+        write_json(folder, {name: getattr(self, name) for name in names} | rows | start)
 
     def nominal(self, path: Path) -> ElementTree.ElementTree[ElementTree.Element]:
         """The nominal robot of a URDF, as codes get it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
@@ -104,12 +105,12 @@ class DataSet(ABC):
         return here
 
 
-def drawn(rows: Rows, seed: int, n_train: int, n_unseen: int) -> tuple[Rows, Rows]:
+def write_json(folder: Path, told: Mapping[str, object]) -> None:
+    """Write problem.json, arrays as lists."""
+    (folder / "problem.json").write_text(json.dumps(told, default=np.ndarray.tolist))
+
+
+def drawn(rows: Rows, seed: int, n_train: int, n_unseen: int = 0) -> tuple[Rows, Rows]:
     """Return as many rows at random, in their order, and others."""
     order = np.random.default_rng(seed).permutation(len(rows))
     return rows[np.sort(order[:n_train])], rows[np.sort(order[n_train : n_train + n_unseen])]
-
-
-def some(rows: Rows, seed: int, n: int) -> Rows:
-    """Return at most as many rows, drawn at random, in their order."""
-    return rows[np.sort(np.random.default_rng(seed).permutation(len(rows))[:n])]

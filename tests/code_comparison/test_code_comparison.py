@@ -21,9 +21,12 @@ from tests.code_comparison.data_set import MissingDataError, Rows, Split
 from tests.code_comparison.data_sets import DATA_SETS
 from tests.code_comparison.data_sets.charuco_hand_eye import Images, Photographs, halves
 from tests.code_comparison.data_sets.klipper_delta import Folds, Printers, Row, heights, left_out
+from tests.code_comparison.data_sets.klipper_delta import read as read_printer
 from tests.code_comparison.data_sets.motoman_pixels import Watched
 from tests.code_comparison.data_sets.tilting_base import COLUMN, Stations
 from tests.code_comparison.running import compared
+from tests.photographs.camera_scenes import BOARD, CAMERA, scene
+from tests.printers.test_printers import printer_cfg
 
 pytestmark = pytest.mark.quick(0)
 
@@ -83,40 +86,24 @@ def watched(common, links, q, unseen):
 
 
 def photographs():
-    """Simulated photographs of a board on a tool, seen as OpenCV has it; the lens is not the published one."""
-    cv2 = pytest.importorskip("cv2")
-    rng = np.random.default_rng(6)
-    camera, board = pose([0, 0.1, 0], [0, 0, 0]), pose([0.05, 0, 0.3], [0.01, 0.02, 0.1])
-    corners = np.array([[x, y, 0.0] for x in range(-3, 4) for y in range(-2, 3)]) * 0.03
-    matrix = np.array([[1200.0, 0, 640], [0, 1190, 500], [0, 0, 1]])
-    tools, pixels = [], []
-    for _ in range(16):
-        where = camera @ pose(rng.uniform(-0.5, 0.5, 3), [*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.5, 0.8)])
-        tools.append(where @ np.linalg.inv(board))
-        at = np.linalg.inv(camera) @ where
-        seen = cv2.projectPoints(corners, cv2.Rodrigues(at[:3, :3])[0], at[:3, 3], matrix, np.array([-0.1, 0.1, 0, 0]))
-        pixels.append(seen[0][:, 0] + PIXEL * rng.standard_normal((35, 2)))
-    images = Images(np.array(tools), (corners,) * 16, tuple(pixels))
-    start = [(*T[:3, 3] + 0.02, *Rotation.from_matrix(T[:3, :3]).as_quat()) for T in (camera, board)]
+    """Simulated photographs of a board on a tool; the lens is not the published one."""
+    view = scene(16, "base", seed=6, noise=PIXEL)
+    images = Images(view.tool, tuple(np.split(view.body, 16)), tuple(np.split(view.pixels, 16)))
+    camera, board = (
+        (*T[:3, 3] + 0.02, *Rotation.from_matrix(T[:3, :3]).as_quat()) for T in (CAMERA["base"], BOARD["base"])
+    )
     return Photographs(
-        "shots", splits=lambda _: list(halves(images))[:1], camera=start[0], board=start[1],
-        intrinsics=(1210.0, 1210, 630, 510), size=(1280, 1000), **SIMULATED,
+        "shots", splits=lambda _: list(halves(images))[:1], camera=camera, board=board,
+        intrinsics=(920.0, 930, 635, 490), size=view.size, **SIMULATED,
     )  # fmt: skip
 
 
-def printer():
-    """A simulated delta whose probe reads 0.3 mm at 13 places, where arms of 215 mm end (Pythagoras)."""
-    angles, radius, ends = np.radians([210.1, 329.9, 90.0]), 105.2, np.array([250.1, 249.6, 250.4])
-    towers = radius * np.column_stack([np.cos(angles), np.sin(angles)])
-    top = ends + np.sqrt(215**2 - radius**2)
-    head = ["[printer]", "kinematics: delta", "delta_radius: 105", "print_radius: 90"]
-    for tower, angle in zip("abc", (210, 330, 90), strict=True):
-        head += [f"[stepper_{tower}]", "position_endstop: 250", "arm_length: 215", f"angle: {angle}"]
-        head += ["rotation_distance: 40", "microsteps: 16"]
-    spots = [(0, 0), *((r * np.cos(a), r * np.sin(a)) for r in (45, 85) for a in np.radians(np.arange(30, 360, 60)))]
-    down = [top - 0.3 - np.sqrt(215**2 - np.sum((towers - spot) ** 2, axis=1)) for spot in spots]
-    rows = tuple(Row(0.3, (", ".join(f"{item:.1f}" for item in 80 * steps),)) for steps in down)
-    folds = tuple(left_out("\n".join([*head, "[delta_calibrate]", "radius: 90"]), rows))[:2]
+def printer(folder):
+    """A simulated delta whose probe reads 0.3 mm at 13 places; its settings are rounded."""
+    text = printer_cfg(spans=False, noise=0.0, offset=0.3)
+    rounded = re.sub(r"(radius|angle|endstop): ([\d.]+)", lambda m: f"{m[1]}: {float(m[2]):.0f}", text)
+    (folder / "printer.cfg").write_text(rounded)
+    folds = tuple(left_out(*read_printer(folder / "printer.cfg")))[:2]
     split = Split("two of 13 rows", *(Folds(folds, fitted, False) for fitted in (True, False)))
     return Printers("printer", splits=lambda _: [split], **SIMULATED)
 
@@ -171,7 +158,7 @@ def stand_ins(tmp_path_factory):
         ),
         watched(common, links[:40], q[:40], points[rows >= 60]),
         photographs(),
-        printer(),
+        printer(folder),
     )
 
 
@@ -223,7 +210,7 @@ def test_codes_find_a_simulated_camera(ran):
 
 def test_codes_predict_a_simulated_printer(ran):
     _, rows = ran
-    # steps of 1/80 mm are written to a tenth; a row that is left out makes of that what the others allow
+    # steps of 0.01 mm are written to a thousandth; a row that is left out makes of that what the others allow
     assert all(max(rows["printer", name]["errors"]) < 1e-5 for name in (PRINTER, "Klipper, re-implemented"))
 
 

@@ -117,27 +117,6 @@ def test_poses_that_cannot_close_are_refused_alike():
     assert np.array_equal(result.ok, expected.ok)
 
 
-@pytest.mark.quick(0)
-def test_systems_are_solved_with_pivots():
-    numba, functions = import_module("numba"), import_module("calib.compiled.kernels")
-    solve = functions._solve  # only called by compiled code
-
-    @numba.njit
-    def solved(A, B):
-        return solve(A, B, len(A))
-
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        A, B = rng.standard_normal((5, 5)) * (rng.random((5, 5)) < 0.8) + 1e-3 * np.eye(5), rng.standard_normal((5, 2))
-        A[0, 0] = 0.0  # rows must change places
-        X = B.copy()
-        assert solved(A.copy(), X) == np.sign(np.linalg.det(A))
-        assert np.allclose(X, np.linalg.solve(A, B), rtol=1e-9)
-    A[2] = 0.0
-    assert solved(A.copy(), X) == 0.0
-    assert not np.all(np.isfinite(X))
-
-
 def test_loops_of_directions_are_left_to_the_reference(tmp_path):
     robot = calib.load(write_pose_loop(tmp_path))
     with compile_kinematics():
@@ -146,11 +125,6 @@ def test_loops_of_directions_are_left_to_the_reference(tmp_path):
 
 @pytest.mark.quick(0)
 def test_numba_is_loaded_only_where_it_is_asked_for():
-    robot = calib.load(EXAMPLES / "five_bar.yaml")
-    assert kernels(robot.mechanism, 100) is None
-    assert kernels(robot.mechanism, 100_000) is not None
-    with compile_kinematics(False):
-        assert kernels(robot.mechanism, 100_000) is None
     check = (
         "import sys, calib; robot = calib.load(sys.argv[1]); robot.assemble(robot.home); print('numba' in sys.modules)"
     )
@@ -158,29 +132,19 @@ def test_numba_is_loaded_only_where_it_is_asked_for():
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "False\n"
 
 
-def test_a_task_of_many_poses_is_worth_loading_it():
-    robot = calib.load(EXAMPLES / "five_bar.yaml")
-    with compile_for(300_000):
-        assert kernels(robot.mechanism, 10) is not None
-    with compile_for(1000):
-        assert kernels(robot.mechanism, 10) is None
-    with compile_kinematics(False), compile_for(300_000):
-        assert kernels(robot.mechanism, 10) is None
-
-
 @pytest.mark.parametrize("kept", [True, False])
-def test_fewer_poses_are_worth_it_if_an_earlier_program_has_compiled(monkeypatch, kept):
-    mechanism = calib.load(EXAMPLES / "five_bar.yaml").mechanism
-    monkeypatch.setattr("calib.compiled.kernels.is_compiled", lambda: kept)
-    with compile_for(20_000):
-        assert (kernels(mechanism, 10) is not None) is kept
-    assert (kernels(mechanism, 5000) is not None) is kept
-    assert kernels(mechanism, 4000) is None
-    assert kernels(mechanism, 35_000) is not None
-    arm = calib.load(EXAMPLES / "arm.yaml").mechanism  # a pose without loops saves less
-    assert (kernels(arm, 20_000) is not None) is kept
-    assert kernels(arm, 19_000) is None
-    assert kernels(arm, 140_000) is not None
+def test_it_is_worth_loading_for_many_poses_and_for_fewer_if_an_earlier_program_has_compiled(monkeypatch, kept):
+    monkeypatch.setattr("calib.compiled.kernels.is_compiled", lambda *_: kept)
+    for name, fewer in (("five_bar", 5000), ("arm", 20_000)):  # a pose without loops saves less
+        mechanism = calib.load(EXAMPLES / f"{name}.yaml").mechanism
+        assert kernels(mechanism, fewer - 1) is None
+        assert (kernels(mechanism, fewer) is not None) is kept
+        assert kernels(mechanism, 7 * fewer) is not None
+        with compile_kinematics(False), compile_for(300_000):
+            assert kernels(mechanism, 300_000) is None
+        for task, pays in ((1000, False), (20_000, kept), (300_000, True)):
+            with compile_for(task):  # a task of many poses, whose parts may be small
+                assert (kernels(mechanism, 10) is not None) is pays
 
 
 @pytest.mark.parametrize(("written", "kept"), [(1.0, True), (-1.0, False)])

@@ -19,7 +19,7 @@ from calib.capabilities import ENTRY_POINTS
     [("calib/**/*.py", "viz"), ("viz/**/*.py", "medrue")]
     + [
         (f"medrue/{name}.py", "calib|pinocchio")  # the closed form shares no code with the engine
-        for name in ("closed_form", "closed_form_inverse", "rotations", "paper_tables", "workspace")
+        for name in ("closed_form", "closed_form_inverse", "paper_tables", "workspace")
     ],
 )
 def test_files_import_nothing_from_packages_above(files, above):

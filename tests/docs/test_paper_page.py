@@ -68,7 +68,8 @@ def test_a_csv_becomes_a_table(tmp_path):
 
 
 def test_the_workspace_is_told_as_it_is():
-    facts = pose_facts(target_poses(load(robot_file())))
+    robot = load(robot_file())
+    facts = pose_facts(robot, target_poses(robot))
     assert _place("poses.json").strip() == make_paper_page.workspace(facts).strip()
 
 

@@ -76,7 +76,7 @@ def in_file(robot: calib.Robot, file_format: str, path: Path) -> Tip:
         nominal = urdf_links(robot.urdf.source)
         return tip_of(nominal, robot, lambda name, value: zeros[name][0] * value + zeros[name][1])
     if file_format == "joint-tables":
-        rows = _rows(path / "joint_tables.csv")
+        rows = table_rows(path / "joint_tables.csv")
 
         def actual(name: str, value: float) -> float:
             own = [(float(row["commanded"]), float(row["actual"])) for row in rows if row["joint"] == name]
@@ -89,7 +89,8 @@ def in_file(robot: calib.Robot, file_format: str, path: Path) -> Tip:
     return tip_of(urdf_links(source.read_bytes()), robot)
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
+def table_rows(path: Path) -> list[dict[str, str]]:
+    """Rows of a table, without comments."""
     return list(csv.DictReader(line for line in path.read_text().splitlines() if not line.startswith("#")))
 
 
@@ -101,7 +102,7 @@ def _moved(turn: np.ndarray, shift: tuple[float, ...] = (0.0, 0.0, 0.0)) -> np.n
 
 def _product_of_rows(path: Path) -> Tip:
     """Rot z(theta) Trans z(d) and Trans x(a) Rot x(alpha) Rot y(beta) of each row, in the order of the convention."""
-    standard, rows = "convention: standard" in path.read_text(), _rows(path)
+    standard, rows = "convention: standard" in path.read_text(), table_rows(path)
 
     def number(row: dict[str, str], name: str) -> float:
         head = next((key for key in row if key.split(" ")[0] == name), None)
@@ -153,7 +154,9 @@ def _ur_product(path: Path, robot: calib.Robot) -> Tip:
 def joint_zeros(path: Path) -> dict[str, tuple[float, float]]:
     """Sign and zero [rad or m] of each joint in a file of joint zeros."""
     per_unit = {"deg": np.pi / 180, "mm": 1e-3}
-    return {row["joint"]: (float(row["sign"]), float(row["offset"]) * per_unit[row["unit"]]) for row in _rows(path)}
+    return {
+        row["joint"]: (float(row["sign"]), float(row["offset"]) * per_unit[row["unit"]]) for row in table_rows(path)
+    }
 
 
 def _with_properties(path: Path, robot: calib.Robot) -> bytes:

@@ -16,7 +16,7 @@ from calib.core.results.urdf import urdf_bytes
 from calib.core.robots.urdf.text import parse_urdf
 from calib.exporting.closed_model import closed_model
 from calib.exporting.formats import export
-from calib.exporting.mjcf import mjcf
+from calib.exporting.mjcf import Mjcf
 from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from tests.project import EXAMPLES, ROOT, copied
@@ -107,7 +107,7 @@ def test_mjcf_joints_stand_at_the_assembled_home(calibrated: calib.Robot) -> Non
     """By the closed form; tests/interop looks at where the bodies are."""
     closed = forward(calibrated.home[None], table1().actual)
     values = dict(zip((*ACTUATED_JOINTS, *PASSIVE_JOINTS), (*calibrated.home, *closed.passive[0]), strict=True))
-    root = ElementTree.fromstring(mjcf(closed_model(calibrated)).content)
+    root = ElementTree.fromstring(Mjcf(closed_model(calibrated)).content)
     refs = {joint.get("name"): float(joint.get("ref")) for joint in root.iter("joint")}
     assert refs == pytest.approx(values, abs=1e-12)
 

@@ -18,7 +18,7 @@ from calib.core.robots.urdf.text import parse_urdf
 from calib.exporting.closed_model import closed_model, possible_inertia
 from calib.exporting.drake import drake_bytes
 from calib.exporting.formats import export
-from calib.exporting.mjcf import mjcf
+from calib.exporting.mjcf import Mjcf
 from calib.shared.links import read_links
 from tests.urdf_trees import urdf_of
 
@@ -58,7 +58,7 @@ def arm(folder: Path, text: str = PLAIN) -> calib.Robot:
 
 
 def written(robot: calib.Robot) -> Element:
-    return ElementTree.fromstring(mjcf(closed_model(robot)).content)
+    return ElementTree.fromstring(Mjcf(closed_model(robot)).content)
 
 
 def body(root: Element, name: str) -> Element:
@@ -98,7 +98,7 @@ def test_inertia_is_written_in_the_axes_of_the_link(tmp_path: Path) -> None:
 
 
 def test_masses_and_moments_that_no_moving_body_has_are_replaced_and_the_file_says_so(tmp_path: Path) -> None:
-    text = mjcf(closed_model(arm(tmp_path))).content.decode()
+    text = Mjcf(closed_model(arm(tmp_path))).content.decode()
     assert "link bras moves and has no mass" in text
     assert "link doigt: its moments of inertia are impossible" in text
     bras, doigt = (body(ElementTree.fromstring(text), name).find("inertial") for name in ("bras", "doigt"))
@@ -249,7 +249,7 @@ def test_a_mesh_is_read_above_the_robot_s_folder_only_where_ros_allows(
 def test_a_link_named_world_that_is_not_the_root_is_refused(tmp_path: Path) -> None:
     robot = arm(tmp_path, PLAIN.replace('"doigt"', '"world"'))
     with pytest.raises(InputError, match="link 'world' is not the root link; MuJoCo keeps this name"):
-        mjcf(closed_model(robot))
+        Mjcf(closed_model(robot))
 
 
 @pytest.mark.parametrize(
@@ -281,7 +281,7 @@ def test_any_spelling_of_the_file_gives_the_same_model(tmp_path: Path, variant: 
     robot = calib.load(tmp_path / "arm.yaml")
     comments = re.compile(rb"<!--.*?-->", re.DOTALL)
     model = closed_model(robot)
-    assert comments.sub(b"", mjcf(model).content) == comments.sub(b"", mjcf(expected).content)
+    assert comments.sub(b"", Mjcf(model).content) == comments.sub(b"", Mjcf(expected).content)
     for_drake = parse_urdf(drake_bytes(model))
     assert for_drake.links == parse_urdf(drake_bytes(expected)).links
     assert for_drake.source.startswith(content[:25])

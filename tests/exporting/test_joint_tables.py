@@ -1,7 +1,5 @@
 """Joint correction tables: the Python and the C that are written with them agree with the engine."""
 
-import csv
-
 import numpy as np
 import pytest
 
@@ -9,6 +7,7 @@ import calib
 from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.terms.term import Context
 from calib.exporting.joint_tables import joint_table_files, joint_tables, lost_by_tables
+from tests.exporting.read_back import table_rows
 from tests.small_robots import ARM_YAML, write_arm
 
 TERMS = """\
@@ -51,14 +50,9 @@ def commands():
     return np.vstack([inside, [[-3, 0, -2 * np.pi], [3, 1, 2 * np.pi]]])
 
 
-def rows_of(folder):
-    text = (folder / "joint_tables.csv").read_text()
-    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
-
-
 def table_of(folder, joint):
     """Commanded and actual values of a joint."""
-    own = [row for row in rows_of(folder) if row["joint"] == joint]
+    own = [row for row in table_rows(folder / "joint_tables.csv") if row["joint"] == joint]
     return [np.array([float(row[key]) for row in own]) for key in ("commanded", "actual")]
 
 
@@ -78,13 +72,13 @@ def test_the_csv_holds_the_same_numbers(robot, folder):
     assert lost_by_tables(robot) == []
     for table in joint_tables(robot):
         np.testing.assert_array_equal(table_of(folder, table.joint), [table.commands, table.actual])
-        units = {row["unit"] for row in rows_of(folder) if row["joint"] == table.joint}
+        units = {row["unit"] for row in table_rows(folder / "joint_tables.csv") if row["joint"] == table.joint}
         assert units == {"m" if table.joint == "slide" else "rad"}
 
 
 def test_a_bound_of_the_curvature_holds_and_is_no_guess(robot):
     q = np.zeros((20001, 3))
-    for term, values in zip(robot.terms, _values(robot), strict=True):
+    for term, values in robot.term_values():
         j = robot.joint_names.index(term.joint)
         q[:, j] = np.linspace(-0.5, 0.5, len(q))
         error = term.columns(q, j, Context.neutral(*q.shape)) @ values
@@ -92,13 +86,6 @@ def test_a_bound_of_the_curvature_holds_and_is_no_guess(robot):
         bound = term.curvature(values)
         assert np.abs(second).max() <= bound * 1.001 + 1e-3
         assert bound < 20 * np.abs(second).max() + 1e-3
-
-
-def _values(robot):
-    start = robot.coefficients.start
-    for term in robot.terms:
-        yield robot.values[start : start + len(term.parameters)]
-        start += len(term.parameters)
 
 
 def test_what_depends_on_more_is_left_out_and_said_with_its_size(tmp_path, run_calib, robot):

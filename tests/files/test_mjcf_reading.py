@@ -13,6 +13,7 @@ from calib.core.robots.urdf.meshes import find_mesh
 from calib.core.robots.urdf.text import read_urdf
 from calib.files.mjcf_reading import read_mjcf
 from calib.shared.pose_check import check_poses
+from tests.core.robots.test_loops import by_hand
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -36,9 +37,10 @@ FOLLOWS = '<joint joint1="jaw" joint2="wrist" polycoef=".002 .03 0 0 0"/>'
 CLOTH = '<flexcomp name="c" type="grid" count="3 3 1" spacing=".1 .1 .1" radius=".01" mass="1"/>'
 TENDON = '<tendon><fixed name="t"><joint joint="jaw" coef="1"/></fixed></tendon>'
 
+LEFT = 2.199114857512855
 FIVE_BAR = """<mujoco model="five_bar"><compiler angle="radian"/><worldbody><body name="table" euler=".3 .2 .1">
  <geom size=".01"/>
- <body name="left" pos="-.1 0 0" euler="0 0 2.199114857512855"><joint name="left_motor"/><geom size=".01" pos=".2 0 0"/>
+ <body name="left" pos="-.1 0 0" euler="0 0 {left}"><joint name="left_motor"/><geom size=".01" pos=".2 0 0"/>
   <body name="left_distal" pos=".2 0 0" euler="0 0 -1.4396290718713562"><joint name="left_elbow"/>
    <geom size=".01" pos=".3 0 0"/><site name="pen" pos=".3 0 0"/></body></body>
  <body name="right" pos=".1 0 0" euler="0 0 {right}"><joint name="right_motor"/><geom size=".01" pos=".2 0 0"/>
@@ -50,7 +52,7 @@ FIVE_BAR = """<mujoco model="five_bar"><compiler angle="radian"/><worldbody><bod
 
 def five_bar(tie):
     """The right arm is the mirror of the left one, so that both ends meet on the y axis."""
-    return FIVE_BAR.format(right=np.pi - 2.199114857512855, elbow=1.4396290718713562, tie=tie)
+    return FIVE_BAR.format(left=LEFT, right=np.pi - LEFT, elbow=1.4396290718713562, tie=tie)
 
 
 CONNECT = '<connect name="tie" body1="left_distal" body2="right_distal" anchor=".3 0 0"/>'
@@ -174,17 +176,9 @@ def test_a_five_bar_moves_as_its_circles_say(tmp_path, run_calib):
     robot = calib.load(tmp_path / "robot.yaml")
     assert robot.passive_names == ("left_elbow", "right_elbow")
     q = np.random.default_rng(1).uniform(-0.3, 0.3, (30, 2))
-    elbows = [
-        np.column_stack([x + 0.2 * np.cos(start + turn), 0.2 * np.sin(start + turn)])
-        for x, start, turn in ((-0.1, 2.199114857512855, q[:, 0]), (0.1, np.pi - 2.199114857512855, q[:, 1]))
-    ]
-    across = elbows[1] - elbows[0]
-    half = np.linalg.norm(across, axis=1) / 2
-    up = np.column_stack([-across[:, 1], across[:, 0]]) / (2 * half[:, None])
-    pen = elbows[0] + across / 2 + np.sqrt(0.3**2 - half**2)[:, None] * up
+    pen = [[*by_hand(LEFT + left, np.pi - LEFT + right, 1), 0.0] for left, right in q]
     result = np.linalg.inv(robot.forward(q, "table")) @ robot.forward(q, "pen")
-    assert np.allclose(result[:, :2, 3], pen, rtol=0, atol=1e-9)
-    assert np.allclose(result[:, 2, 3], 0.0, rtol=0, atol=1e-9)
+    assert np.allclose(result[:, :3, 3], pen, rtol=0, atol=1e-9)
 
 
 def test_ball_joints_are_three_hinges_and_free_bodies_stand_still(tmp_path, run_calib):

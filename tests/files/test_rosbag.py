@@ -53,25 +53,27 @@ def write_bag(path, messages, storage="SQLITE3"):
     return path
 
 
-def recording(q, p, rng, topic="/reflector", names=JOINTS):
-    """A robot that goes to q (n, 6), stays 1 s, and is measured twice there and once on the way, positions p (n, 3)."""
+def recording(q, seen, rng, *, joints=True, names=JOINTS):
+    """A robot that stands at each of q (n, 6) for a second and moves on, seen twice at each stop and once on the way.
+
+    `seen(k, t)` returns topic, type and message of what is seen of the k-th stop.
+    """
     messages, t = [], START
-    for k, (joints, position) in enumerate(zip(q, p, strict=True)):
-        for step in range(20):  # 50 Hz, flickering by a tenth of what counts as motion
-            flicker = 5e-5 * rng.uniform(-1, 1, len(joints))
-            messages.append(("/joint_states", "sensor_msgs/msg/JointState", t, joint_state(t, joints + flicker, names)))
-            if step in (8, 12):
-                at = t + 0.004
-                messages.append((topic, "geometry_msgs/msg/PointStamped", at, place(at, position)))
-            t += 0.05
-        following = q[min(k + 1, len(q) - 1)]
-        for step in range(20):
-            between = joints + (following - joints) * (step + 1) / 21
-            messages.append(("/joint_states", "sensor_msgs/msg/JointState", t, joint_state(t, between, names)))
-            if step == 10:
-                messages.append((topic, "geometry_msgs/msg/PointStamped", t, place(t, [9.0, 9.0, 9.0])))
+    for k, at in enumerate(q):
+        for step in range(40):  # 50 Hz, flickering by a tenth of what counts as motion
+            now = at + 5e-5 * rng.uniform(-1, 1, 6) if step < 20 else at + 0.02 * (step - 19)
+            if joints:
+                messages.append(("/joint_states", "sensor_msgs/msg/JointState", t, joint_state(t, now, names)))
+            if step in (8, 12, 30):
+                topic, kind, message = seen(k, t)
+                messages.append((topic, kind, t, message))
             t += 0.05
     return messages
+
+
+def points(p):
+    """What a tracker sees of positions p (n, 3)."""
+    return lambda k, t: ("/reflector", "geometry_msgs/msg/PointStamped", place(t, p[k]))
 
 
 @pytest.fixture(scope="module")
@@ -82,15 +84,14 @@ def measured(robot, data):
 @pytest.mark.parametrize("storage", ["SQLITE3", "MCAP"])
 def test_a_bag_gives_the_rows_at_which_the_robot_stood_still(tmp_path, measured, storage):
     robot, q, p = measured
-    folder = write_bag(tmp_path / "bag", recording(q[:4], p[:4], np.random.default_rng(0)), storage)
+    folder = write_bag(tmp_path / "bag", recording(q[:4], points(p), np.random.default_rng(0)), storage)
     data = calib.read_measurements(folder, robot)
-    # one more reading: after the last stop the robot stays there
-    assert data.names == ("stop 1",) * 2 + ("stop 2",) * 2 + ("stop 3",) * 2 + ("stop 4",) * 3
-    assert np.abs(data.joints[:8] - np.repeat(q[:4], 2, axis=0)).max() < 5e-5
+    assert data.names == ("stop 1",) * 2 + ("stop 2",) * 2 + ("stop 3",) * 2 + ("stop 4",) * 2
+    assert np.abs(data.joints - np.repeat(q[:4], 2, axis=0)).max() < 5e-5
     assert np.array_equal(data.joints[0], data.joints[1])
-    assert np.array_equal(data.points(robot)[:8, 0], np.repeat(p[:4], 2, axis=0))
-    assert data.context["time"][:2] == pytest.approx([0.404, 0.604], abs=1e-6)
-    assert any("3 measurements of 12 left out: the robot moved" in comment for comment in data.comments)
+    assert np.array_equal(data.points(robot)[:, 0], np.repeat(p[:4], 2, axis=0))
+    assert data.context["time"][:2] == pytest.approx([0.4, 0.6], abs=1e-6)
+    assert any("4 measurements of 12 left out: the robot moved" in comment for comment in data.comments)
     inside = next(file for file in folder.iterdir() if file.suffix in (".db3", ".mcap"))
     alone = calib.read_measurements(inside, robot)
     assert np.array_equal(alone.joints, data.joints)
@@ -99,8 +100,7 @@ def test_a_bag_gives_the_rows_at_which_the_robot_stood_still(tmp_path, measured,
 @pytest.mark.quick(0)
 def test_a_calibration_from_a_bag_is_that_from_the_table(tmp_path, measured, run_calib):
     robot, q, p = measured
-    rng = np.random.default_rng(1)
-    folder = write_bag(tmp_path / "bag", recording(np.append(q, q[:1], axis=0), np.append(p, p[:1], axis=0), rng)[:-21])
+    folder = write_bag(tmp_path / "bag", recording(q, points(p), np.random.default_rng(1)))
     assert run_calib("fit", EXAMPLES / "arm.yaml", folder, "--out", tmp_path / "out", "--no-pages").code == 0
     plain = calib.fit(robot, calib.as_measurements(robot, q, p)).robot
     again = calib.load(tmp_path / "out")
@@ -193,22 +193,6 @@ def test_without_the_package_the_message_says_how_to_get_it(tmp_path, monkeypatc
     refused(tmp_path / "a.mcap", "is not installed: pip install rosbags")
 
 
-def photographs(q, shown, rng, *, joints=True, names=JOINTS):
-    """A robot that stands at each of q (n, 6) and moves on, photographed twice at each stop and once on the way."""
-    messages, t = [], START
-    for k, at in enumerate(q):
-        for step in range(40):
-            now = at + 5e-5 * rng.uniform(-1, 1, 6) if step < 20 else at + 0.02 * (step - 19)
-            if joints:
-                messages.append(("/joint_states", "sensor_msgs/msg/JointState", t, joint_state(t, now, names)))
-            if step in (8, 12, 30):
-                make, pixels = TYPES.types["sensor_msgs/msg/Image"], shown[k]
-                image = make(header(t), *pixels.shape, "mono8", 0, pixels.shape[1], pixels.ravel())
-                messages.append(("/image", "sensor_msgs/msg/Image", t, image))
-            t += 0.05
-    return messages
-
-
 @pytest.mark.quick(0)
 def test_of_a_bag_one_photograph_of_each_stop_comes_with_the_joints_of_that_moment(tmp_path, run_calib):
     pytest.importorskip("cv2")
@@ -219,13 +203,18 @@ def test_of_a_bag_one_photograph_of_each_stop_comes_with_the_joints_of_that_mome
     board, q = "charuco:5x7:30mm:22mm:DICT_5X5_100", np.random.default_rng(3).uniform(-1, 1, (2, 6))
     for name, content in example(read_board_option(board), 1, np.random.default_rng(0)).items():
         (tmp_path / name).write_bytes(content)
-    shown = [read_image(tmp_path / "shot_01.png")] * 2
-    generator = np.random.default_rng(1)
-    write_bag(tmp_path / "bag", photographs(q, shown, generator))
-    write_bag(tmp_path / "none", photographs(q, shown, generator, joints=False))
-    write_bag(tmp_path / "other", photographs(q, shown, generator, names=tuple("abcdef")))
+    pixels, generator = read_image(tmp_path / "shot_01.png"), np.random.default_rng(1)
+
+    def image(k, t):
+        kind = "sensor_msgs/msg/Image"
+        message = TYPES.types[kind](header(t), *pixels.shape, "mono8", 0, pixels.shape[1], pixels.ravel())
+        return "/image", kind, message
+
+    write_bag(tmp_path / "bag", recording(q, image, generator))
+    write_bag(tmp_path / "none", recording(q, image, generator, joints=False))
+    write_bag(tmp_path / "other", recording(q, image, generator, names=tuple("abcdef")))
     again = ("/goals", "sensor_msgs/msg/JointState", START, joint_state(START, q[1], JOINTS))
-    write_bag(tmp_path / "twice", [*photographs(q, shown, generator), again])
+    write_bag(tmp_path / "twice", [*recording(q, image, generator), again])
 
     def detect(*sources):
         return run_calib("detect", *sources, "--board", board, "--out", "pixels.csv", "--force", cwd=tmp_path)

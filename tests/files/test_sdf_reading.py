@@ -6,6 +6,7 @@ import pytest
 import calib
 from calib.core.robots.urdf.text import read_urdf
 from calib.shared.links import read_links
+from tests.core.robots.test_loops import by_hand, elbows
 
 ARM = """<?xml version="1.0"?>
 <sdf version="{version}"><world name="w"><model name="arm"><pose>5 5 5 0 0 1</pose>
@@ -75,37 +76,24 @@ FIVE_BAR = """<sdf version="1.7"><model name="five_bar"><link name="base"/>
 <joint name="right" type="revolute"><parent>base</parent><child>b1</child>{axis}</joint>
 <joint name="left_end" type="revolute"><parent>a1</parent><child>a2</child>{axis}</joint>
 <joint name="right_end" type="revolute"><parent>b1</parent><child>b2</child>{axis}</joint>
-<joint name="tip" type="revolute"><parent>a2</parent><child>b2</child><pose relative_to="a2">0.25 0 0 0 0 0</pose>
+<joint name="tip" type="revolute"><parent>a2</parent><child>b2</child><pose relative_to="a2">0.3 0 0 0 0 0</pose>
 {axis}</joint>
 <plugin name="p" filename="x"><joint_name>left</joint_name></plugin>
 <plugin name="p" filename="x"><joint_name>right</joint_name></plugin>
 </model></sdf>"""
 
 
-def five_bar():
-    """Both distal links point at the tip, which lies 0.25 m from both elbows."""
-    left = np.array([-0.1, 0]) + 0.2 * np.array([np.cos(1.2), np.sin(1.2)])
-    right = np.array([0.1, 0]) + 0.2 * np.array([np.cos(1.9), np.sin(1.9)])
-    half = (right - left) / 2
-    across = np.array([-half[1], half[0]]) / np.linalg.norm(half)
-    tip = left + half + across * np.sqrt(0.25**2 - half @ half)
-    a, b = (np.arctan2(*(tip - elbow)[::-1]) for elbow in (left, right))
-    axis = "<axis><xyz>0 0 1</xyz></axis>"
-    return FIVE_BAR.format(a=a - 1.2, b=b - 1.9, axis=axis), tip
-
-
 def test_a_link_that_is_the_child_of_two_joints_closes_a_loop(tmp_path):
-    text, tip = five_bar()
+    tip = by_hand(1.2, 1.9, 1)
+    a, b = (np.arctan2(*(tip - elbow)[::-1]) for elbow in elbows(1.2, 1.9))
+    text = FIVE_BAR.format(a=a - 1.2, b=b - 1.9, axis="<axis><xyz>0 0 1</xyz></axis>")
     (tmp_path / "five_bar.sdf").write_text(text)
     robot = calib.load(tmp_path / "five_bar.sdf")
     assert robot.description.closed_loop == (("tip_a", "tip_b"),)
     assert robot.description.closed_loop_axes == (("x", "y"),)
     assert robot.joint_names == ("left", "right")
-    place = robot.forward(np.zeros((1, 2)), frame="tip_a")[0]
-    assert np.allclose(place[:2, 3], tip, atol=1e-9)
-    turned = robot.forward(np.array([[0.3, 0.3]]), frame="tip_a")[0][:2, 3]
-    elbows = [np.array([s, 0]) + 0.2 * np.array([np.cos(w), np.sin(w)]) for s, w in ((-0.1, 1.5), (0.1, 2.2))]
-    assert np.allclose([np.linalg.norm(turned - elbow) for elbow in elbows], 0.25, atol=1e-9)
+    places = robot.forward([[0.0, 0.0], [0.3, 0.3]], frame="tip_a")[:, :2, 3]
+    assert np.allclose(places, [tip, by_hand(1.5, 2.2, 1)], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,10 @@
-"""MuJoCo and Drake with an exported file: where its links are, and where they come to rest under gravity."""
+"""Tools with an exported file: where its links are; in MuJoCo and Drake, where they come to rest under gravity."""
 
 import logging
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 MISSING = "{} is not installed (in a checkout: pip install -e '.[interop]')"
 
@@ -96,3 +97,66 @@ class Drake:
         assert np.abs(self.plant.GetVelocities(self.context)).max() < 1e-5
         joints = [self.plant.GetJointByName(name, self.instance) for name in commands]
         return np.array([joint.GetOnePosition(self.context) for joint in joints])
+
+
+class PyBullet:
+    """A file in PyBullet, which computes in single precision."""
+
+    def __init__(self, file):
+        self.pybullet = pytest.importorskip("pybullet", reason=MISSING.format("PyBullet"))
+        self.client = self.pybullet.connect(self.pybullet.DIRECT)
+        self.robot = self.pybullet.loadURDF(str(file), useFixedBase=True, physicsClientId=self.client)
+        count = self.pybullet.getNumJoints(self.robot, physicsClientId=self.client)
+        infos = [self.pybullet.getJointInfo(self.robot, i, physicsClientId=self.client) for i in range(count)]
+        self.joints = {info[1].decode(): info[0] for info in infos}
+        self.links = {info[12].decode(): info[0] for info in infos}
+
+    def __del__(self):
+        self.pybullet.disconnect(self.client)
+
+    def at(self, values, link):
+        """Where a link is at values of joints by name, (4, 4)."""
+        own = {"physicsClientId": self.client}
+        for name, value in values.items():
+            self.pybullet.resetJointState(self.robot, self.joints[name], value, **own)
+        result = np.eye(4)
+        if link != "world":
+            state = self.pybullet.getLinkState(self.robot, self.links[link], computeForwardKinematics=True, **own)
+            result[:3, 3] = state[4]
+            result[:3, :3] = np.reshape(self.pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
+        return result
+
+
+class Yourdfpy:
+    """A URDF in yourdfpy."""
+
+    def __init__(self, file):
+        self.robot = pytest.importorskip("yourdfpy").URDF.load(str(file), load_meshes=False)
+
+    def at(self, values, link):
+        """Where a link is at values of joints by name, (4, 4)."""
+        self.robot.update_cfg(values)
+        return self.robot.get_transform(link, frame_from="world")
+
+
+class UrdfParser:
+    """A URDF in urdf_parser_py, which reads numbers alone: origins and motions are put together here."""
+
+    def __init__(self, file):
+        urdf = pytest.importorskip("urdf_parser_py.urdf", reason=MISSING.format("urdf_parser_py"))
+        self.robot = urdf.URDF.from_xml_string(file.read_bytes())
+
+    def at(self, values, link):
+        """Where a link is at values of joints by name, (4, 4)."""
+        result = np.eye(4)
+        while link in self.robot.parent_map:
+            name, link = self.robot.parent_map[link]
+            joint, value, origin, motion = self.robot.joint_map[name], values.get(name, 0.0), np.eye(4), np.eye(4)
+            origin[:3, :3] = Rotation.from_euler("xyz", joint.origin.rpy).as_matrix()
+            origin[:3, 3] = joint.origin.xyz
+            if joint.type == "prismatic":
+                motion[:3, 3] = value * np.array(joint.axis)
+            elif joint.type != "fixed":
+                motion[:3, :3] = Rotation.from_rotvec(value * np.array(joint.axis)).as_matrix()
+            result = origin @ motion @ result
+        return result

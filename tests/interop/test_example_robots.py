@@ -40,17 +40,6 @@ ARMS = {  # file below robots/: link that carries the measured point
     "xarm_description/urdf/xarm7.urdf": "link_eef",
     "z1_description/urdf/z1.urdf": "gripperMover",
 }
-VARIANTS = (  # of an arm above: the same links with other limits, lengths, shapes or a gripper
-    "so_arm_description/urdf/so100.urdf",
-    "ur_description/urdf/ur3_robot.urdf",
-    "ur_description/urdf/ur5_robot.urdf",
-    "panda_description/urdf/panda_collision.urdf",
-    "ur_description/urdf/ur3_gripper.urdf",
-    "ur_description/urdf/ur3_joint_limited_robot.urdf",
-    "ur_description/urdf/ur5_gripper.urdf",
-    "ur_description/urdf/ur5_joint_limited_robot.urdf",
-    "ur_description/urdf/ur10_joint_limited_robot.urdf",
-)
 FIRST = ("double_pendulum_continuous", "finger_edu", "panda", "talos_left_arm")
 """Arms of `make test`: two to seven axes, turning without limits, with and without a gripper."""
 PARALLEL_AXES = {  # what slides the target along both axes cannot be told from where the base is
@@ -189,19 +178,11 @@ def test_the_arm_is_found_without_its_fingers(name: str, target: str, joints: in
 @pytest.mark.quick(0)
 @pytest.mark.parametrize(
     "arm",
-    [pytest.param(arm, marks=pytest.mark.amount(Path(arm).stem in FIRST, 1)) for arm in ARMS if arm not in VARIANTS],
+    [pytest.param(arm, marks=pytest.mark.amount(Path(arm).stem in FIRST, 1)) for arm in ARMS],
     ids=lambda arm: Path(arm).stem,
 )
 def test_arm_is_calibrated_exported_and_loaded_again(arm: str, tmp_path: Path) -> None:
     check(robots_folder() / arm, ARMS[arm], tmp_path, PARALLEL_AXES.get(arm))
-
-
-@pytest.mark.amount(0, len(VARIANTS))
-def test_variants_of_these_arms_are_too(tmp_path: Path, amount: int) -> None:
-    for arm in VARIANTS[:amount]:
-        folder = tmp_path / Path(arm).stem
-        folder.mkdir()
-        check(robots_folder() / arm, ARMS[arm], folder)
 
 
 def check_read_back(file: Path, folder: Path) -> None:

@@ -1,6 +1,10 @@
-"""MuJoCo and Drake: the exported URDF and their own formats, still and under gravity with servoed joints."""
+"""Tools with the exported URDF and with their own formats, still and under gravity with servoed joints."""
 
+import shutil
 import struct
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,8 +12,9 @@ import pytest
 import calib
 from calib.core.base.errors import InputError
 from calib.exporting.formats import export
-from tests.interop.simulators import Drake, MuJoCo
+from tests.interop.simulators import Drake, MuJoCo, PyBullet, UrdfParser, Yourdfpy
 
+SINGLE_PRECISION = 1e-6  # of links about 1 m from the base [m, rad]
 SOFTNESS = 1e-5
 """Opening of a loop under gravity that docs/other_tools.md states [m]."""
 SAG = 5e-5
@@ -23,10 +28,26 @@ TOOLS = pytest.mark.parametrize("tool", FORMATS)
     [
         *((MuJoCo, file) for file in ("robot.urdf", "robot.xml", "free.xml")),
         *((Drake, file) for file in ("robot.urdf", "drake.urdf", "free_drake.urdf", "robot.xml", "free.xml")),
+        (PyBullet, "robot.urdf"),
+        (Yourdfpy, "robot.urdf"),
+        pytest.param(UrdfParser, "robot.urdf", marks=pytest.mark.quick(0)),
     ],
 )
 def test_every_link_is_where_pinocchio_says(case, tool, file: str) -> None:
-    assert case.largest_difference(f"{tool.__name__}, {file}", tool(case.folder / file).at) < 1e-9
+    tolerance = SINGLE_PRECISION if tool is PyBullet else 1e-9
+    assert case.largest_difference(f"{tool.__name__}, {file}", tool(case.folder / file).at) < tolerance
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("file", ["robot.urdf", "drake.urdf", "free_drake.urdf"])
+def test_check_urdf_accepts_the_file(case, file: str) -> None:
+    beside_python = Path(sys.executable).parent / "check_urdf"
+    program = str(beside_python) if beside_python.exists() else shutil.which("check_urdf")
+    if program is None:
+        pytest.skip("check_urdf (Debian: liburdfdom-tools) is not installed")
+    result = subprocess.run([program, str(case.folder / file)], capture_output=True, text=True, timeout=30, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "Successfully Parsed XML" in result.stdout
 
 
 @pytest.mark.parametrize("file", ["drake.urdf", "robot.xml"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +30,25 @@ def origins(seed: int = 0) -> np.ndarray:
     return nominal_origins("ur5e") + sizes * rng.standard_normal((6, 6))
 
 
-def poses(q: np.ndarray, o: np.ndarray) -> np.ndarray:
-    T = np.tile(np.eye(4), (len(q), 1, 1))
-    for k in range(6):
-        A, Z = np.eye(4), np.tile(np.eye(4), (len(q), 1, 1))
-        A[:3, :3], A[:3, 3] = Rotation.from_euler("xyz", o[k, 3:]).as_matrix(), o[k, :3]
-        Z[:, :3, :3] = Rotation.from_euler("z", q[:, [k]]).as_matrix()
-        T = T @ A @ Z
+def frame(turn: Rotation, xyz: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turn.as_matrix(), xyz
     return T
+
+
+def chain(q: np.ndarray, origins: list[np.ndarray], turning: list[bool]) -> np.ndarray:
+    """The end of joints that turn about z, or slide along it, behind each origin (4, 4), at values q (n, n_joints)."""
+    T = np.tile(np.eye(4), (len(q), 1, 1))
+    for k, (origin, turns) in enumerate(zip(origins, turning, strict=True)):
+        Z = np.tile(np.eye(4), (len(q), 1, 1))
+        Z[:, :3, :3] = Rotation.from_euler("z", q[:, [k]] * turns).as_matrix()
+        Z[:, 2, 3] = q[:, k] * (not turns)
+        T = T @ origin @ Z
+    return T
+
+
+def poses(q: np.ndarray, o: np.ndarray) -> np.ndarray:
+    return chain(q, [frame(Rotation.from_euler("xyz", row[3:]), row[:3]) for row in o], [True] * 6)
 
 
 def joint_values(seed: int, n: int = 30, size: float = np.pi) -> np.ndarray:
@@ -45,9 +56,8 @@ def joint_values(seed: int, n: int = 30, size: float = np.pi) -> np.ndarray:
 
 
 def write(path: Path, header: str, *blocks: np.ndarray, digits: tuple[int, ...]) -> Path:
-    columns = [(column, d) for block, d in zip(blocks, digits, strict=True) for column in block.T]
-    rows = zip(*([f"{x:.{d}f}" for x in column] for column, d in columns), strict=True)
-    path.write_text(header + "\n" + "\n".join(",".join(row) for row in rows) + "\n")
+    formats = [f"%.{d}f" for block, d in zip(blocks, digits, strict=True) for _ in block.T]
+    np.savetxt(path, np.hstack(blocks), formats, ",", header=header, comments="")
     return path
 
 
@@ -83,6 +93,9 @@ def distance95(match: calib.Match) -> float:
 
 def test_rounded_pairs_give_a_robot_that_agrees_at_other_poses(stock: Path, tmp_path: Path) -> None:
     o, q = origins(), joint_values(1)
+    coarse = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q, o), digits=(3, 2, 3)))
+    assert coarse.grade == "PASS", coarse.report()
+    assert distance95(coarse) <= coarse.agreement.claim
     matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q, o)))
     assert matched.grade == "PASS", matched.report()
     assert distance95(matched) <= matched.agreement.claim < 0.015e-3
@@ -103,13 +116,6 @@ def test_decimal_commas_are_decimals(tmp_path: Path) -> None:
     assert read_pairs(tmp_path / "commas.csv", names).steps == pytest.approx([*[1e-6] * 6, 1e-2, 1e-3])
 
 
-def test_rounded_joint_values_count_as_rounding(stock: Path, tmp_path: Path) -> None:
-    q = joint_values(1)
-    matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q, origins()), digits=(3, 2, 3)))
-    assert matched.grade == "PASS", matched.report()
-    assert distance95(matched) <= matched.agreement.claim
-
-
 def test_joints_that_stand_at_a_round_value_do_not_count_as_rounded_to_it(stock: Path, tmp_path: Path) -> None:
     q = joint_values(1)
     q[:, 1:5] = -1.0, 2.0, 0.5, -1.0
@@ -117,37 +123,27 @@ def test_joints_that_stand_at_a_round_value_do_not_count_as_rounded_to_it(stock:
     np.testing.assert_allclose(pairs.steps[:6], 1e-6)
 
 
-def coupled(q: np.ndarray) -> np.ndarray:
-    return q + 2e-4 * np.eye(6)[4] * q[:, [3]]
-
-
-def geared(q: np.ndarray) -> np.ndarray:
-    return q + 1e-4 * np.eye(6)[2] * np.sin(3 * q[:, [2]])
-
-
-def loaded(q: np.ndarray) -> np.ndarray:
-    """The shoulder gives way to the masses of upper arm and forearm, 6 and 4 kg at their ends' heights."""
-    reach = 0.425 * np.cos(q[:, [1]])
-    return q + 1e-4 * np.eye(6)[1] * (6 * reach + 4 * (reach + 0.392 * np.cos(q[:, [1]] + q[:, [2]])))
+EFFECTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "coupling of wrist_2_joint by wrist_1_joint": lambda q: 2e-4 * np.eye(6)[4] * q[:, [3]],
+    "gear of elbow_joint (3 waves a turn)": lambda q: 1e-4 * np.eye(6)[2] * np.sin(3 * q[:, [2]]),
+    # the shoulder gives way to upper arm and forearm, 6 and 4 kg at the heights of their ends
+    "gravity at shoulder_lift_joint": lambda q: (
+        1e-4 * np.eye(6)[1] * (10 * 0.425 * np.cos(q[:, [1]]) + 4 * 0.392 * np.cos(q[:, [1]] + q[:, [2]]))
+    ),
+}
+"""Errors of joints [rad] that a controller computes with, as they are named."""
 
 
 @pytest.mark.quick(1)
-@pytest.mark.parametrize(
-    ("knows", "words"),
-    [
-        (coupled, "with coupling of wrist_2_joint by wrist_1_joint it agrees to the digits"),
-        (geared, "with gear of elbow_joint (3 waves a turn) it agrees to the digits"),
-        (loaded, "with gravity at shoulder_lift_joint it agrees to the digits"),
-    ],
-)
+@pytest.mark.parametrize("words", EFFECTS)
 def test_what_a_controller_knows_beside_joint_origins_is_named_and_no_pass(
-    stock: Path, tmp_path: Path, knows: Callable[[np.ndarray], np.ndarray], words: str
+    stock: Path, tmp_path: Path, words: str
 ) -> None:
     q = joint_values(1)
-    matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(knows(q), origins())))
+    matched = calib.match(stock, ur_pairs(tmp_path / "pairs.csv", q, poses(q + EFFECTS[words](q), origins())))
     assert matched.grade != "PASS"
     assert "the controller computes with something that joint origins cannot hold" in matched.conclusion
-    assert words in matched.conclusion
+    assert f"with {words} it agrees to the digits" in matched.conclusion
     assert matched.agreement.left_out > 2 * matched.agreement.rounding_distance
 
 
@@ -172,16 +168,10 @@ SCARA = [
 
 
 def scara_poses(q: np.ndarray, o: np.ndarray) -> np.ndarray:
-    T = np.tile(np.eye(4), (len(q), 1, 1))
-    for k, (kind, xyz, sign) in enumerate(SCARA):
-        A, Z = np.eye(4), np.tile(np.eye(4), (len(q), 1, 1))
-        A[:3, :3], A[:3, 3] = Rotation.from_rotvec(o[k, 3:]).as_matrix(), np.array(xyz.split(), float) + o[k, :3]
-        if kind == "revolute":
-            Z[:, :3, :3] = Rotation.from_euler("z", sign * q[:, [k]]).as_matrix()
-        else:
-            Z[:, 2, 3] = sign * q[:, k]
-        T = T @ A @ Z
-    return T
+    kinds, places, signs = zip(*SCARA, strict=True)
+    xyz = [np.array(place.split(), float) + row[:3] for place, row in zip(places, o, strict=True)]
+    turns = Rotation.from_rotvec(o[:, 3:])
+    return chain(q * signs, list(map(frame, turns, xyz)), [kind == "revolute" for kind in kinds])
 
 
 def scara_urdf(folder: Path, turned: str = "0") -> Path:
@@ -214,9 +204,7 @@ TOOL = np.array([50.0, 20.0, 100.0, 172.0, -14.0, 8.0])
 
 
 def place(numbers: np.ndarray) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", numbers[3:], degrees=True).as_matrix(), 1e-3 * numbers[:3]
-    return T
+    return frame(Rotation.from_euler("xyz", numbers[3:], degrees=True), 1e-3 * numbers[:3])
 
 
 def option(numbers: np.ndarray, dx: float = 0.0, dz: float = 0.0) -> str:
@@ -237,7 +225,7 @@ def test_a_scara_is_placed_and_fitted(tmp_path: Path, n: int, lean: float) -> No
         path = scara_pairs(tmp_path / "p.csv", q, noisy)
         robot = calib.load(stock)
         best = candidates(robot, read_pairs(path, robot.joint_names))[0]
-        assert best.miss < most
+        assert best.aligned.rms_distance < most
         assert np.linalg.norm((best.aligned.base @ np.linalg.inv(base))[:2, :2] - np.eye(2)) < 5e-3 + 5 * lean
     if n == 30:
         matched = calib.match(stock, scara_pairs(tmp_path / "p.csv", q, T))
@@ -319,7 +307,7 @@ def test_of_rotations_about_one_axis_every_form_is_tried(tmp_path: Path, seed: i
     o[2, 3] = np.pi
     T = scara_poses(q, o) @ place(np.array([0.0, 0.0, 150.0, 180.0, 0.0, 0.0]))
     path = scara_pairs(tmp_path / "p.csv", q, T, "j1,j2,j3,j4,x,y,z,rx,ry,rz", digits=(5, 3, 5))
-    assert only_reading(stock, path).miss < 2e-3
+    assert only_reading(stock, path).aligned.rms_distance < 2e-3
 
 
 @pytest.mark.parametrize(
@@ -352,61 +340,43 @@ def test_pair_of_another_program_is_named_and_left_out(stock: Path, tmp_path: Pa
 
 
 @pytest.mark.quick(0)
-def test_tool_is_found_and_a_wrong_statement_is_named(stock: Path, tmp_path: Path) -> None:
+def test_a_tool_is_found(stock: Path, tmp_path: Path) -> None:
     o, q = origins(), joint_values(1)
-    tool = np.eye(4)
-    tool[:3, 3] = [0.03, 0.0, 0.12]
+    tool = frame(Rotation.identity(), np.array([0.03, 0.0, 0.12]))
     pairs = ur_pairs(tmp_path / "pairs.csv", q, poses(q, o) @ tool)
     found = calib.match(stock, pairs)
     assert found.grade == "PASS", found.report()
     assert "tool: the controller's frame differs from tool0 by xyz" in found.places[1]
     assert calib.match(stock, pairs, tool=[30, 0, 120, 0, 0, 0]).grade == "PASS"
-    with pytest.raises(DataError, match="the poses contradict the stated tool"):
-        calib.match(stock, pairs, tool=[0, 0, 80, 0, 0, 0])
 
 
-EULER = {"A,B,C": "ZYX", "W,P,R": "xyz", "Rx,Ry,Rz": "XYZ", "O,A,T": "ZYZ"}
-
-
-@pytest.mark.parametrize("words", EULER)
-def test_makers_angles_are_found(stock: Path, tmp_path: Path, words: str) -> None:
-    q = joint_values(1)
-    header, rows = f"J1,J2,J3,J4,J5,J6,X,Y,Z,{words}", numbers(poses(q, origins()), EULER[words])
-    file = write(tmp_path / "p.csv", header, np.degrees(q), rows[:, :3], rows[:, 3:], digits=(3, 2, 3))
-    reading = only_reading(stock, file).reading
-    units = reading.joint_units[0], reading.length_unit, reading.angle_unit
-    assert (reading.convention.form, units, reading.direction) == (EULER[words], ("deg", "mm", "deg"), "direct")
-
-
-def test_quaternions_of_abb_and_lines_without_a_header_are_read(stock: Path, tmp_path: Path) -> None:
-    q = joint_values(1)
-    T = poses(q, origins())
+def as_makers_write(folder: Path, q: np.ndarray, T: np.ndarray) -> Iterator[tuple[Path, str]]:
+    """Files of the same pairs, each with the form of its rotations."""
     turns = Rotation.from_matrix(T[:, :3, :3])
-    header = "J1,J2,J3,J4,J5,J6,X,Y,Z,q1,q2,q3,q4"
-    scalar_first = turns.as_quat()[:, [3, 0, 1, 2]]
-    file = write(tmp_path / "p.csv", header, np.degrees(q), 1e3 * T[:, :3, 3], scalar_first, digits=(3, 2, 6))
-    assert only_reading(stock, file).reading.convention.form == "qw qx qy qz"
-    lines = [f"{a.tolist()} p{b.tolist()}" for a, b in zip(q, np.hstack([T[:, :3, 3], turns.as_rotvec()]), strict=True)]
-    (tmp_path / "log.txt").write_text("\n".join(lines))
-    reading = only_reading(stock, tmp_path / "log.txt").reading
-    assert reading.convention.form == "rotation vector"
-    assert (reading.joint_units[0], reading.length_unit) == ("rad", "m")
+    head, pairs = "J1,J2,J3,J4,J5,J6,X,Y,Z,", (np.degrees(q), 1e3 * T[:, :3, 3])
+    for words, form in {"A,B,C": "ZYX", "W,P,R": "xyz", "Rx,Ry,Rz": "XYZ", "O,A,T": "ZYZ"}.items():
+        angles = turns.as_euler(form, degrees=True)
+        yield write(folder / "p.csv", head + words, *pairs, angles, digits=(3, 2, 3)), form
+    quaternions = turns.as_quat(scalar_first=True)
+    yield write(folder / "p.csv", f"{head}q1,q2,q3,q4", *pairs, quaternions, digits=(3, 2, 6)), "qw qx qy qz"
+    vectors = np.hstack([T[:, :3, 3], turns.as_rotvec()])
+    (folder / "log.txt").write_text("\n".join(f"{a.tolist()} p{b.tolist()}" for a, b in zip(q, vectors, strict=True)))
+    yield folder / "log.txt", "rotation vector"
+    by_column = T.swapaxes(1, 2).reshape(-1, 16)
+    for stem, rows, form in (("actual_TCP_pose", vectors, "rotation vector"), ("O_T_EE", by_column, "matrix")):
+        names = ["timestamp", *(f"actual_q_{k}" for k in range(6)), *(f"{stem}_{k}" for k in range(rows.shape[1]))]
+        yield write(folder / "p.csv", ",".join(names), np.arange(30)[:, None], q, rows, digits=(2, 6, 6)), form
 
 
-@pytest.mark.parametrize(("stem", "width"), [("actual_TCP_pose", 6), ("O_T_EE", 16)])
-def test_columns_that_are_numbered_as_controllers_log_them_are_read(
-    stock: Path, tmp_path: Path, stem: str, width: int
-) -> None:
+def test_columns_of_all_makers_are_read(stock: Path, tmp_path: Path) -> None:
     q = joint_values(1)
     T = poses(q, origins())
-    vectors = np.hstack([T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()])
-    numbers = vectors if width == 6 else T.swapaxes(1, 2).reshape(-1, 16)  # column by column
-    names = ["timestamp", *(f"actual_q_{k}" for k in range(6)), *(f"{stem}_{k}" for k in range(width))]
-    file = write(tmp_path / "log.csv", ",".join(names), np.arange(30)[:, None], q, numbers, digits=(2, 6, 6))
-    read = read_pairs(file, JOINTS)
-    assert np.allclose(read.joints, q, atol=1e-6)
-    reading = only_reading(stock, file).reading
-    assert np.allclose(reading.poses(read.positions, read.rotations), T, atol=1e-5)
+    for file, form in as_makers_write(tmp_path, q, T):
+        reading, pairs = only_reading(stock, file).reading, read_pairs(file, JOINTS)
+        assert (reading.convention.form, reading.mistakes(pairs)) == (form, [])
+        joints, printed = reading.values(pairs)
+        assert np.allclose(joints, q, atol=2e-5)
+        assert np.allclose(printed, T, atol=3e-5)  # angles of a thousandth of a degree
 
 
 def test_a_log_of_thousands_is_used_evenly(stock: Path, tmp_path: Path) -> None:
@@ -462,14 +432,6 @@ Q = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 6))  # as `joint_values
 def test_a_file_that_is_not_as_it_seems_is_named(stock: Path, tmp_path: Path, header: str, q, numbers, said) -> None:
     pairs = read_pairs(write(tmp_path / "pairs.csv", header, q, numbers(poses(Q, origins())), digits=(5, 3)), JOINTS)
     assert said in " ".join(candidates(calib.load(stock), pairs)[0].reading.mistakes(pairs))
-
-
-def test_a_base_that_is_not_the_one_stated_is_named(stock: Path, tmp_path: Path) -> None:
-    q, base = joint_values(1), np.eye(4)
-    base[:3, 3] = [0.5, 0.0, 0.7]
-    pairs = ur_pairs(tmp_path / "pairs.csv", q, base @ poses(q, origins()))
-    with pytest.raises(DataError, match="the poses contradict the stated base"):
-        calib.match(stock, pairs, base=[0, 0, 700, 0, 0, 0])
 
 
 def test_readings_that_fit_alike_are_refused(stock: Path, tmp_path: Path) -> None:

@@ -17,10 +17,9 @@ from medrue.both_sides_tables import (
     mean_x,
     pose_count_table,
 )
-from medrue.draws import PoseSet
+from medrue.draws import PoseSet, Work
 from medrue.imperfections import STRAIGHT, Imperfections, RailErrors, from_direction, imperfect_robot
 from medrue.paper_tables import table3
-from medrue.progress import SilentProgress
 from medrue.workspace import target_workspace
 
 pytestmark = pytest.mark.quick(0)
@@ -33,7 +32,7 @@ def both_sides(robot, extended):
     """One robot; 42 uniform poses, and 10 chosen ones."""
     joints = np.array(target_workspace().q)[::4]
     first, seeds = PoseSet("uniform", np.flatnonzero(np.arange(105) % 5 < 2)), np.random.SeedSequence(7).spawn(1)
-    return run_both_sides(robot, extended, joints, first, (10,), Imperfections(), seeds, None, SilentProgress())
+    return run_both_sides(robot, extended, joints, first, (10,), Imperfections(), seeds, Work())
 
 
 def cells(table):
@@ -68,13 +67,6 @@ def test_positions_from_both_sides_determine_54_combinations(extended):
     links = ("q2", "B1", "E1_B_origin", "q4", "B2", "E2_B_origin")
     assert unseen > {f"{name}.{tilt}" for name in links for tilt in ("ry", "rz")}
     assert not unseen & {f"{name}.{tilt}" for name in ("q3", "D1", "q5", "D2") for tilt in ("ry", "rz")}
-
-
-@pytest.mark.parametrize(("name", "least", "most"), [("q2.ry", 0.0, 1e-9), ("B1.rz", 0.0, 1e-9), ("D1.ry", 1e-2, 1.0)])
-def test_so_say_finite_differences(extended, name, least, most):
-    q = np.array(target_workspace().q[::100])
-    up, down = (extended.with_parameters({name: step}).positions(q) for step in (1e-4, -1e-4))
-    assert least <= np.abs(up - down).max() / 2e-4 <= most
 
 
 def test_wear_and_bend_move_the_tool_as_the_docstring_says(robot, extended):

@@ -8,17 +8,15 @@ import pytest
 from click.testing import CliRunner
 
 from calib import read_measurements
-from calib.planning.selection import select
-from medrue.both_sides import QUICK_COUNTS, run_both_sides
+from medrue.both_sides import QUICK_COUNTS, ExperimentTask
 from medrue.cli import group
 from medrue.closed_form import forward
-from medrue.draws import PoseSet
-from medrue.experiment import QUICK_DRAWS, Experiment, ExperimentTask, experiment_draw
+from medrue.draws import Work
+from medrue.experiment import QUICK_DRAWS, experiment_draw, run_experiment
 from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
 from medrue.imperfections import TILTED_JOINTS, Imperfections, approach_in_order, imperfect_robot
 from medrue.paper_tables import error_table, table3
-from medrue.progress import SilentProgress
-from medrue.tracker import NESTS, PLACE, measure
+from medrue.tracker import NESTS, PLACE, find_world, measure
 from medrue.workspace import target_workspace
 from tests.medrue.medrue_folders import check_folder, check_tables
 
@@ -38,19 +36,10 @@ def truth_of(extended, actual, imperfections, seed=1):
 
 @pytest.fixture(scope="module")
 def experiment(robot, extended):
-    """Two draws, poses of O1 and uniform ones; of the first one also from both sides, and there with 28 poses."""
-    joints = np.array(target_workspace().q)
-    chosen = np.sort(select(robot, joints, 84, "O1").chosen)
-    sets = (PoseSet("O1", chosen), PoseSet("uniform", np.arange(2, 420, 5)))
-    seeds = np.random.SeedSequence(3).spawn(2)
-    usual = Imperfections()
-    draws = tuple(experiment_draw(ExperimentTask(robot, extended, joints, sets, usual, seed)) for seed in seeds)
-    causes = {
-        name: tuple(experiment_draw(ExperimentTask(robot, extended, joints, sets[:1], alone, seed)) for seed in seeds)
-        for name, alone in usual.causes.items()
-    }
-    both_sides = run_both_sides(robot, extended, joints, sets[0], (28,), usual, seeds[:1], None, SilentProgress())
-    return Experiment(robot, joints, sets, usual, draws, causes, both_sides, 3)
+    """Two draws, poses of O1 and uniform ones, and 28 poses from both sides."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("medrue.study.INDICES", ("O1",))
+        return run_experiment(robot, extended, 2, 3, Work(), Imperfections(), (28,))
 
 
 def test_without_imperfections_the_truth_is_the_closed_form_with_table_3(extended, actual):
@@ -93,11 +82,11 @@ def test_tilts_turn_the_eight_axes_and_move_the_tool_mostly_along_the_rail(exten
     assert moved[0] > 2 * max(moved[1:])
 
 
-def test_tracker_finds_the_world_and_its_repeatability():
+def test_tracker_finds_the_world_and_its_repeatability(monkeypatch):
     points = np.random.default_rng(2).uniform(-0.5, 0.5, (200, 3))
-    exact = measure(points, 0.0, 5, np.random.default_rng(1))
-    assert np.abs(exact.positions - points).max() < 1e-12
-    seen = measure(points, 4e-5, 5, np.random.default_rng(1))
+    seen = measure(points, np.random.default_rng(1))
+    monkeypatch.setattr("medrue.tracker.SIGMA", 1e-15)
+    assert np.abs(measure(points, np.random.default_rng(1)).positions - points).max() < 1e-12
     assert abs(seen.repeatability / 4e-5 - 1) < 4 / np.sqrt(2 * 200 * 4 * 3)
     assert seen.nest_outliers == ()
     assert 4e-5 / np.sqrt(15) < seen.frame_sigma < 1e-4
@@ -106,16 +95,22 @@ def test_tracker_finds_the_world_and_its_repeatability():
 def test_the_frame_s_uncertainty_is_the_scatter_of_the_frame():
     """One far point, 400 trackers: the part of its error that all readings of one tracker share."""
     far = np.array([[0.6, 0.5, 0.1]])
-    errors = [measure(far, 4e-5, 5, np.random.default_rng(k)).positions[0] - far[0] for k in range(400)]
+    errors = [measure(far, np.random.default_rng(k)).positions[0] - far[0] for k in range(400)]
     own = 4e-5 / np.sqrt(5)
     scatter = np.sqrt(np.var(errors, axis=0, ddof=1) - own**2)
-    stated = measure(far, 4e-5, 5, np.random.default_rng(0)).frame_sigma
+    stated = measure(far, np.random.default_rng(0)).frame_sigma
     assert abs(scatter.max() / stated - 1) < 0.2  # 400 draws of a sum of two variances: about 5 percent
 
 
-def test_the_tracker_s_frame_is_not_the_world():
-    assert np.linalg.norm(PLACE.translation) > 1.0
-    assert np.linalg.matrix_rank(NESTS - NESTS.mean(axis=0)) == 2
+def test_a_nest_that_was_moved_is_named_and_seldom_another():
+    places, rng = np.array(list(NESTS.values())), np.random.default_rng(8)
+    seen = (places - PLACE.translation) @ PLACE.rotation
+    for k, name in enumerate(NESTS):
+        moved = seen.copy()
+        moved[k] += 2e-3 * (places[k] - places.mean(axis=0)) @ PLACE.rotation
+        assert find_world(moved).outliers == (name,)
+    called = [find_world(seen + rng.normal(0, 4e-5 / np.sqrt(5), (3, 3))).outliers != () for _ in range(500)]
+    assert np.mean(called) < 0.025  # 0.01 at most; binomial spread 0.0045
 
 
 def test_calibration_leaves_an_error_that_is_dominated_by_x(experiment):
@@ -197,7 +192,7 @@ def test_the_same_seed_gives_the_same_experiment(experiment):
 def test_the_command_writes_every_table_and_figure_and_one_page(experiment, extended, monkeypatch, tmp_path):
     requests = []
 
-    def known(_robot, _extended, draws, seed, _executor, _progress, imperfections, counts):
+    def known(_robot, _extended, draws, seed, _work, imperfections, counts):
         requests.append((draws, seed, imperfections.backlash, counts))
         return experiment
 

@@ -118,10 +118,9 @@ def test_closed_form_equals_the_urdf_at_nominal_actual_and_perturbed_parameters(
     generator, table = np.random.default_rng(20150107), table1()
     for values in (table.nominal, table.actual):
         assert_closed_form_agrees(values, target_workspace().q[::7])
-    reach = np.where(np.array(table.units) == "m", 0.002, np.radians(1.5))
     for _ in range(25):
         rows = generator.integers(len(target_workspace().q), size=8)
-        values = table.nominal + generator.uniform(-1.0, 1.0, len(PARAMETERS)) * reach
+        values = table.nominal + generator.uniform(-1.0, 1.0, len(PARAMETERS)) * table.reach
         assert_closed_form_agrees(values, target_workspace().q[rows])
 
 

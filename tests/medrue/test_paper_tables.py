@@ -17,6 +17,7 @@ def test_table_has_the_36_parameters_once_each_with_si_units():
     assert table.names == PARAMETERS
     assert len(set(PARAMETERS)) == 36
     angles = {name for name, unit in zip(table.names, table.units, strict=True) if unit == "rad"}
+    assert (table.reach == np.where([name in angles for name in PARAMETERS], np.radians(1.5), 2e-3)).all()
     assert angles == {"dq2", "dq3", "dq4", "dq5", "dq6", "phi_bx", "phi_by", "phi_bz"}
 
 

@@ -7,14 +7,12 @@ from scipy.stats import ttest_rel
 from calib import fit
 from calib.core.base.workers import Workers
 from calib.core.robots.jacobian import linearise
-from calib.planning.selection import select
-from medrue.draws import Calibrator, DrawOutcome, DrawTask, PoseSet, measurements, run
+from medrue.draws import Calibrator, DrawTask, Work, measurements, run
 from medrue.paper_tables import PARAMETERS, error_table, table1
 from medrue.ranking import agreement, rank, ranking_table, standard_error
 from medrue.result_tables import ResultTable, TableColumn
-from medrue.study import SIGMA, PaperStudy, StudySize, choose_sets, error_floors, summary, true_positions
+from medrue.study import SIGMA, StudySize, choose_sets, error_floors, run_study, summary, true_positions
 from medrue.study_tables import study_findings, study_tables
-from medrue.workspace import target_workspace
 from tests.medrue.medrue_folders import check_tables
 
 pytestmark = pytest.mark.quick(0)
@@ -23,18 +21,23 @@ DRAWS = 40
 
 
 @pytest.fixture(scope="module")
-def task(robot):
-    """84 poses chosen by O1 and 84 uniform ones, measured on the robot of Table I."""
-    joints = np.array(target_workspace().q)
-    chosen = np.sort(select(robot, joints, 84, "O1", sigma=SIGMA).chosen)
-    sets = (PoseSet("O1", chosen), PoseSet("uniform", np.arange(2, 420, 5)))
-    truth = true_positions(joints, table1().actual)
-    return DrawTask(robot, joints, truth, sets, SIGMA, tuple(np.random.SeedSequence(7).spawn(DRAWS)))
+def study(robot):
+    """A study of 84 poses chosen by O1 and of 84 uniform ones."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("medrue.study.INDICES", ("O1",))
+        return run_study(robot, StudySize(DRAWS, 2, 2), 7, Work())
 
 
 @pytest.fixture(scope="module")
-def outcome(task):
-    return run([task], None, lambda done: None)[0]
+def task(study):
+    """Its draws of the noise on the robot of Table I."""
+    seeds = np.random.SeedSequence(7).spawn(2)[0].spawn(DRAWS)
+    return DrawTask(study.robot, study.joints, study.truth, study.sets, SIGMA, tuple(seeds))
+
+
+@pytest.fixture(scope="module")
+def outcome(study):
+    return study.outcome
 
 
 def test_a_draw_ends_in_the_minimum_that_fit_finds(task):
@@ -66,56 +69,22 @@ def test_identification_reaches_the_floor_of_theory_and_does_not_fall_below(task
         assert abs(squares.mean() / floors[s] ** 2 - 1) < 4 * standard_error(squares) / floors[s] ** 2
 
 
-def test_poses_of_o1_beat_uniform_ones(task, outcome):
-    floors = error_floors(task.robot, task.joints, task.sets, SIGMA)
-    assert floors[0] < 0.92 * floors[1]
-    largest = np.stack(
-        [outcome.distances[:, s, p.validation_indices(420)].max(axis=1) for s, p in enumerate(task.sets)], axis=1
-    )
-    ranking = rank(("O1", "uniform"), largest)
-    assert ranking.names == ("O1", "uniform")
-    assert ranking.steps[0, 1] > 3
-    assert (
-        ranking.sure_differences()
-        == "better by more than chance: O1 than uniform; every other difference may be chance"
-    )
-
-
 @pytest.mark.amount(0, 1)
 def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(task, outcome, monkeypatch):
     monkeypatch.setattr("medrue.draws.CHUNK", 2)
     monkeypatch.setattr("medrue.study.INDICES", ("O1",))
     few = DrawTask(task.robot, task.joints, task.truth, task.sets, task.sigma, task.seeds[:4])
     with Workers(2) as executor:
-        _, sets = choose_sets(task.robot, task.joints, executor, lambda done: None)
-        shared = run([few], executor, lambda done: None)[0]
+        _, sets = choose_sets(task.robot, task.joints, Work(executor))
+        shared = run([few], Work(executor))[0]
     assert [error_set.name for error_set in sets] == ["O1", "uniform"]
     assert all(np.array_equal(error_set.chosen, other.chosen) for error_set, other in zip(sets, task.sets, strict=True))
     assert np.array_equal(shared.values, outcome.values[:4])
     assert np.array_equal(shared.distances, outcome.distances[:4])
 
 
-@pytest.fixture(scope="module")
-def small_study(task, outcome):
-    """A study of two pose sets, put together from the draws above."""
-    chosen, others = (
-        task.sets[0].chosen,
-        measurements(task.robot, task.joints, task.truth, task.sets[0].validation_indices(420)),
-    )
-    exact = fit(task.robot, measurements(task.robot, task.joints, task.truth, chosen), validation=others, sigma=SIGMA)
-    noisy = measurements(task.robot, task.joints, task.noisy(task.seeds[0]), chosen)
-    single = fit(task.robot, noisy, validation=others, sigma=SIGMA)
-    selections = {"O1": select(task.robot, task.joints, 84, "O1", sigma=SIGMA)}
-    floors = error_floors(exact.robot, task.joints, task.sets, SIGMA)
-    halves = tuple(DrawOutcome(outcome.values[k::2], outcome.distances[k::2]) for k in (0, 1))
-    size = StudySize(DRAWS, 2, DRAWS // 2)
-    return PaperStudy(
-        task.robot, task.joints, task.truth, selections, task.sets, exact, single, outcome, halves, floors, 7, size
-    )
-
-
-def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study):
-    tables = {table.name: table for table in study_tables(small_study)}
+def test_tables_stand_beside_the_papers_and_are_called_simulated(study):
+    tables = {table.name: table for table in study_tables(study)}
     assert set(tables) == {"table1", "table2", "ranking", "floor", "observability"}
     first = {column.header: column.values for column in tables["table1"].columns}
     assert first["parameter"] == PARAMETERS
@@ -126,7 +95,7 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study):
     row = second["error [mm]"].index("mean, paper")
     assert second["O1"][row] == error_table(2)["O1"]["mean"]
     relative = {column.header: column.values for column in tables["observability"].columns}
-    reached = [small_study.selections[name].after["O1"] for name in small_study.selections]
+    reached = [study.selections[name].after["O1"] for name in study.selections]
     parts = [value for value in relative["O1 [% of the best]"] if value is not None]
     assert max(parts) == 100.0
     assert min(reached) / max(reached) == pytest.approx(parts[reached.index(min(reached))] / 100)
@@ -134,8 +103,8 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study):
     assert "before: the nominal robot at the validation poses of O1" in tables["table2"].csv()
 
 
-def test_findings_say_what_the_numbers_say(small_study):
-    text = " ".join(study_findings(small_study))
+def test_findings_say_what_the_numbers_say(study):
+    text = " ".join(study_findings(study))
     assert "Without noise, 28 parameters come back" in text
     assert "better by more than chance: O1 than uniform" in text
     assert "over 40 draws of the noise" in text
@@ -143,12 +112,12 @@ def test_findings_say_what_the_numbers_say(small_study):
     assert "nan" not in text
 
 
-def test_errors_before_are_those_of_the_nominal_robot(small_study):
-    others = small_study.sets[0].validation_indices(420)
-    nominal = true_positions(small_study.joints, table1().nominal)[others]
-    errors = np.linalg.norm(nominal - small_study.truth[others], axis=1)
+def test_errors_before_are_those_of_the_nominal_robot(study):
+    others = study.sets[0].validation_indices(420)
+    nominal = true_positions(study.joints, table1().nominal)[others]
+    errors = np.linalg.norm(nominal - study.truth[others], axis=1)
     expected = (errors.mean(), errors.max(), errors.std(ddof=1), np.sqrt(np.mean(errors**2)))
-    assert small_study.nominal_errors() == pytest.approx(expected, rel=1e-9)
+    assert study.nominal_errors() == pytest.approx(expected, rel=1e-9)
 
 
 def test_rankings_tell_luck_from_difference():
@@ -167,20 +136,6 @@ def test_rankings_tell_luck_from_difference():
     single = rank(("b", "a"), np.array([[2.0, 1.0]]))
     assert str(single) == "a, b; no set is better by more than chance"
     assert np.isnan(single.steps).all()
-
-
-def test_sets_that_are_like_their_neighbours_may_still_differ():
-    """Each is within luck of the next, the first surely better than the last: being alike is not transitive."""
-    draws = np.random.default_rng(5).normal(size=(60, 3))
-    draws = (draws - draws.mean(axis=0)) / draws.std(axis=0, ddof=1)  # exactly these means and deviations
-    errors = draws + np.array([0.0, 0.55, 1.1])
-    ranking = rank(("first", "middle", "last"), errors)
-    assert ranking.compare(0, 1) == ranking.compare(1, 2) == "open"
-    assert (ranking.compare(0, 2), ranking.compare(2, 0)) == ("better", "worse")
-    assert (
-        ranking.sure_differences()
-        == "better by more than chance: first than last; every other difference may be chance"
-    )
 
 
 def test_every_pair_is_tested_with_holms_correction():
@@ -226,5 +181,3 @@ def test_tables_keep_all_digits_in_files_and_leave_unknown_cells_empty():
     assert table.csv() == "# title\n# note\nname,x [mm]\na,0.3333333333333333\nb,\n"
     assert table.text() == "name  x [mm]\na       0.33\nb"
     assert table.to_dict()["rows"] == [{"name": "a", "x [mm]": 1 / 3}, {"name": "b", "x [mm]": None}]
-    with pytest.raises(ValueError, match="different lengths"):
-        ResultTable("t", "title", (TableColumn("a", ("x",)), TableColumn("b", ())))

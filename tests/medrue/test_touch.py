@@ -32,9 +32,9 @@ from medrue.touch_methods import (
 )
 from medrue.workspace import AXIS_START, MIDDLE_ANGLE, RADIUS, target_workspace
 from tests.medrue.medrue_folders import check_folder
+from tests.medrue.test_workspace import slopes
 
 METHODS = ("tracker", "touch", "touch, artefact anywhere", "encoders")
-STEP = 1e-5
 
 
 @pytest.fixture(scope="module")
@@ -56,16 +56,6 @@ def by_touch_anywhere(touches):
 @pytest.fixture(scope="module")
 def by_encoders():
     return EncoderMethod("encoders", encoder_robot(), np.array(target_workspace().q[::5]))
-
-
-def slopes(outputs):
-    """Derivative of closed-form outputs by the 36 parameters, in units of 2 mm and 1.5 deg, by central differences."""
-    scale = np.where(np.array(table1().units) == "m", 2e-3, np.radians(1.5))
-    columns = []
-    for k in range(len(PARAMETERS)):
-        step = STEP * np.eye(len(PARAMETERS))[k]
-        columns.append((outputs(table1().nominal + step) - outputs(table1().nominal - step)).ravel() / (2 * STEP))
-    return np.array(columns).T * scale
 
 
 def rank(matrix):

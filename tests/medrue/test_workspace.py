@@ -11,21 +11,20 @@ from medrue.workspace import HOME, target_workspace
 STROKE = 0.7
 
 
-def identification_jacobian():
-    """d p_world_tool / d parameters at nominal, central differences of fourth order, `(1260, 36)`."""
-    q, nominal, step = target_workspace().q, table1().nominal, 1e-4
-    columns = []
-    for direction in np.eye(len(PARAMETERS)) * step:
-        near = forward(q, nominal + direction).p_world_tool - forward(q, nominal - direction).p_world_tool
-        far = forward(q, nominal + 2 * direction).p_world_tool - forward(q, nominal - 2 * direction).p_world_tool
+def slopes(outputs):
+    """Derivative of closed-form outputs by the 36 parameters, in units of 2 mm and 1.5 deg, by differences, (n, 36)."""
+    nominal, step, columns = table1().nominal, 1e-4, []
+    for direction in np.eye(len(PARAMETERS)) * step:  # central ones, of fourth order
+        near, far = (outputs(nominal + k * direction) - outputs(nominal - k * direction) for k in (1, 2))
         columns.append(((8.0 * near - far) / (12.0 * step)).ravel())
-    return np.stack(columns, axis=1)
+    return np.stack(columns, axis=1) * table1().reach
 
 
-def scaled(J):
-    """Columns of unit length; columns that are zero but for rounding stay zero."""
+def scaled_jacobian():
+    """d p_world_tool / d parameters, (420, 3, 36), columns of unit length; those of only rounding stay zero."""
+    J = slopes(lambda parameters: forward(target_workspace().q, parameters).p_world_tool)
     norms = np.linalg.norm(J, axis=0)
-    return J / np.where(norms < 1e-8, np.inf, norms)
+    return (J / np.where(norms < 1e-10, np.inf, norms)).reshape(420, 3, 36)
 
 
 def test_positions_lie_on_the_half_cylinder():
@@ -93,10 +92,9 @@ def test_poses_stay_reachable_with_parameter_errors():
     """300 robots within 2 mm and 1.5 degrees, half of them at corners: same modes, inside the stroke."""
     generator = np.random.default_rng(44)
     workspace, table = target_workspace(), table1()
-    reach = np.where(np.array(table.units) == "m", 0.002, np.radians(1.5))
     for draw in range(300):
         errors = generator.uniform(-1.0, 1.0, len(PARAMETERS))
-        parameters = table.nominal + (np.sign(errors) if draw % 2 else errors) * reach
+        parameters = table.nominal + (np.sign(errors) if draw % 2 else errors) * table.reach
         closed = forward(workspace.q, parameters)
         assert closed.closes.all()
         assert (np.sign(closed.passive[:, :4]) == (1, -1, 1, -1)).all()
@@ -109,16 +107,14 @@ def test_poses_stay_reachable_with_parameter_errors():
 
 @pytest.mark.parametrize("every", [1, 5])
 def test_positions_identify_28_of_36_parameters(every):
-    J = identification_jacobian().reshape(420, 3, 36)[::every].reshape(-1, 36)
-    values = np.linalg.svd(scaled(J), compute_uv=False)
+    values = np.linalg.svd(scaled_jacobian()[::every].reshape(-1, 36), compute_uv=False)
     assert values[27] / values[0] > 1e-3
     assert values[28] / values[0] < 1e-9  # rounding of the differences
 
 
 def test_the_papers_28_parameters_are_well_conditioned():
-    J = scaled(identification_jacobian())
     kept = [index for index, name in enumerate(PARAMETERS) if name not in table1().redundant]
-    assert np.linalg.cond(J[:, kept]) < 1300.0
+    assert np.linalg.cond(scaled_jacobian().reshape(-1, 36)[:, kept]) < 1300.0
 
 
 def test_home_is_in_the_middle_of_the_workspace():

@@ -62,10 +62,16 @@ def scene(n=12, mount="tool", seed=0, noise=0.2, shift=0.0, turn=0.0, intrinsics
     """A set-up whose robot is off by shift [m] and turn [rad] per axis at each image."""
     generator = np.random.default_rng(seed)
     real, seen = tools(n, mount, generator)
-    body, pixels = board_points(), pixels_from(seen, intrinsics)
+    pixels = pixels_from(seen, intrinsics)
     pixels = pixels + noise * generator.standard_normal(pixels.shape)
     told = np.array(
         [T @ pose(shift * generator.standard_normal(3), np.rad2deg(turn * generator.standard_normal(3))) for T in real]
     )
+    return scene_of_pixels(told, pixels, mount)
+
+
+def scene_of_pixels(told, pixels, mount):
+    """Images with poses of the tool as told, (n, 4, 4), that all show the whole board."""
+    n, body = len(told), board_points()
     names = tuple(f"shot_{k + 1:02d}" for k in range(n))
     return BoardScene(names, told, np.repeat(np.arange(n), len(body)), np.tile(body, (n, 1)), pixels, mount, SIZE)

@@ -23,10 +23,10 @@ from scipy.stats import binomtest, t
 
 from calib.core.base.errors import CalibrationError
 from calib.photographs.estimation import plain, rms
-from calib.photographs.hand_eye_calibration import calibrate
+from calib.photographs.hand_eye import calibrate
 from calib.photographs.hand_eye_result import judge
-from calib.photographs.scene import BoardScene, HandEyePlacement, plane_errors_on_board
-from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, SIZE, board_points, pixels_from, pose, tools
+from calib.photographs.scene import HandEyePlacement, plane_errors_on_board
+from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, pixels_from, pose, scene_of_pixels, tools
 
 TABLES = {
     "UR5": [(0.089159, 0, 1), (0, -0.425, 0), (0, -0.39225, 0), (0.10915, 0, 1), (0.09465, 0, -1), (0.0823, 0, 0)],
@@ -113,15 +113,13 @@ def drawn(generator, errors, n, mount, robot, sigma):
     twists = REPEATABILITY * generator.standard_normal((n, 6)) * [1, 1, 1, 5, 5, 5]
     if errors == "images":
         twists = generator.standard_normal((n, 6)) * np.repeat([SHIFT_OFF, TURN_OFF], 3)
-    told, body = frames(nominal, joints)[-1], board_points()
     there = frames(real, joints)[-1] @ np.array([pose(twist[:3], np.rad2deg(twist[3:])) for twist in twists])
     on_base = np.linalg.inv(base) @ (CAMERA if mount == "base" else BOARD)[mount]
     camera, board = (on_base, BOARD[mount]) if mount == "base" else (CAMERA[mount], on_base)
     views = np.linalg.inv(camera) @ (there if mount == "base" else np.linalg.inv(there)) @ board
     pixels = pixels_from(views)
     pixels += sigma * generator.standard_normal(pixels.shape)
-    names = tuple(f"shot_{k + 1:03d}" for k in range(n))
-    scene = BoardScene(names, told, np.repeat(np.arange(n), len(body)), np.tile(body, (n, 1)), pixels, mount, SIZE)
+    scene = scene_of_pixels(frames(nominal, joints)[-1], pixels, mount)
     return scene, HandEyePlacement(camera, board, INTRINSICS)
 
 

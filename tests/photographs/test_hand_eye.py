@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calib.core.base.contributions import contributions_to
@@ -14,12 +13,12 @@ from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
 from calib.photographs.camera_alone import intrinsics_at_first, point_errors
 from calib.photographs.estimation import plain, rms, solve, weigh_images
-from calib.photographs.hand_eye_calibration import calibrate
+from calib.photographs.hand_eye import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.mistakes import other_readings
+from calib.photographs.robot_errors import ErrorSizes
 from calib.photographs.scene import POSES, HandEyePlacement, HandEyeUnknowns, plane_errors_on_board, residuals, rows
-from calib.photographs.shared_errors import ErrorSizes
-from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, pixels_from, pixels_of, pose, scene
+from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, pixels_from, pose, scene
 
 pytest.importorskip("cv2", reason="extra 'camera'")
 
@@ -76,21 +75,6 @@ def test_derivatives_agree_with_central_differences():
             turned = [view.tool @ pose(sign * twist[:3], np.rad2deg(sign * twist[3:])) for sign in (1, -1)]
             ahead, back = (residuals(replace(view, tool=tool), placed) for tool in turned)
             assert np.allclose(by_error[:, :, k], (ahead - back) / (2 * h), atol=2e-3, rtol=1e-5)
-
-
-def test_plain_least_squares_is_that_of_scipy():
-    view = scene(7, "tool", noise=0.5, shift=5e-4, turn=5e-4)
-    begin = HandEyePlacement(CAMERA["tool"], BOARD["tool"], INTRINSICS)
-    ours = plain(view, begin)
-
-    def errors(x):
-        camera, board = (pose(x[k : k + 3], np.rad2deg(x[k + 3 : k + 6])) for k in (0, 6))
-        at = np.linalg.inv(CAMERA["tool"] @ camera) @ np.linalg.inv(view.tool) @ BOARD["tool"] @ board
-        points = np.einsum("kab,kb->ka", at[view.image, :3, :3], view.body) + at[view.image, :3, 3]
-        return (pixels_of(points) - view.pixels).ravel()
-
-    other = least_squares(errors, np.zeros(12), xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    assert rms(residuals(view, ours.placed)) == pytest.approx(np.sqrt(2 * other.cost / len(view.pixels)), rel=1e-9)
 
 
 @pytest.mark.parametrize("weighed", [False, True])

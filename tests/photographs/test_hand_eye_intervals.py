@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from calib.photographs.estimation import estimate, plain
-from calib.photographs.intervals import arm_twists, intervals
+from calib.photographs.robot_errors import EXPECTED, ErrorSizes, ImageRows, arm_twists, intervals
 from calib.photographs.scene import POSES, HandEyePlacement, HandEyeUnknowns, rows
-from calib.photographs.shared_errors import EXPECTED, ErrorSizes, ImageRows
 from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, scene
 from tests.photographs.hand_eye_set_ups import covered, drawn, frames
 

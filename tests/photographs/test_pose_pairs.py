@@ -1,4 +1,4 @@
-"""Hand-eye calibration from pairs of poses, beside OpenCV and what is known of simulated and real set-ups."""
+"""Hand-eye calibration from pairs of poses, beside a closed form and what is known of set-ups."""
 
 import json
 
@@ -61,27 +61,16 @@ def apart(found, rotation, position):
 
 
 @pytest.mark.parametrize("mount", ["tool", "base"])
-def test_both_mounts_are_found_as_closed_forms_and_opencv_find_them(mount):
+def test_both_mounts_are_found_as_a_closed_form_finds_them(mount):
     tool, seen = pairs(np.random.default_rng(3), mount=mount, shift=3e-4, turn=1e-3)
     result = solve_pairs(NAMES, tool, seen)
     assert result.mount == mount
     assert judge_pairs(result).grade == "PASS", judge_pairs(result)
     assert "noise and priors" in content_of_pairs(result, Frames())["contains"]["position"]
     links = tool if mount == "tool" else np.linalg.inv(tool)
-    found = [park(links, seen)]
-    cv2 = pytest.importorskip("cv2")
-    if hasattr(cv2, "calibrateHandEye"):  # OpenCV 4; builds of OpenCV 5 lack it
-        parts = [part for m in (links, seen) for part in (m[:, :3, :3], m[:, :3, 3])]
-        r, t = cv2.calibrateHandEye(*parts, method=cv2.CALIB_HAND_EYE_PARK)
-        found.append((r, t[:, 0]))
-        inverse = np.linalg.inv(links)
-        r_world, t_world, r_gripper, t_gripper = cv2.calibrateRobotWorldHandEye(
-            *parts[2:], inverse[:, :3, :3], inverse[:, :3, 3]
-        )
-        found.append((r_gripper.T, -r_gripper.T @ t_gripper[:, 0]))
-        assert np.allclose(-r_world.T @ t_world[:, 0], result.marker.pose[:3, 3], atol=2e-3)
-    for rotation, position in found:
-        assert np.all(apart(result.camera, rotation, position) < 2 * result.camera.half)  # other weights than here
+    assert np.all(apart(result.camera, *park(links, seen)) < 2 * result.camera.half)  # other weights than here
+    world, half = MARKER[mount], result.marker.half
+    assert np.all(apart(result.marker, world[:3, :3], world[:3, 3]) < 2 * half)
 
 
 @pytest.mark.quick(0)
@@ -103,7 +92,6 @@ def test_what_parallel_axes_leave_open_is_named_and_the_rest_is_found(seed):
     tool, seen = pairs(np.random.default_rng(seed), about_z=True, shift=2e-4, turn=5e-4)
     result = solve_pairs(NAMES, tool, seen)
     assert result.mount == "tool"
-    assert not result.is_determined
     assert result.camera.open.tolist() == [False, False, True, False, False, False]
     assert result.marker.open.tolist() == result.camera.open.tolist()
     known = ~result.camera.open

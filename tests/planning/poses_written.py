@@ -1,4 +1,6 @@
-"""Poses of MedRUE as files."""
+"""Poses of MedRUE as files, and the answers of commands about them."""
+
+import json
 
 import numpy as np
 
@@ -12,3 +14,9 @@ def write_poses(path, q, names=None, more=()):
     columns += [(f"q{k} [deg]", list(np.degrees(q[:, k - 1]))) for k in range(2, 7)]
     path.write_text(format_table([*columns, *more]))
     return path
+
+
+def answer(run):
+    """Return the JSON that a command printed."""
+    assert run.code == 0, run.err
+    return json.loads(run.out)

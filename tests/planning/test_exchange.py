@@ -8,8 +8,7 @@ import pytest
 
 import calib
 from calib.planning.exchange import Spacing, exchange, swap, uniform_start
-from calib.planning.selection_problem import TASK, build_problem
-from calib.planning.selection_scores import CHOICES, index_values
+from calib.planning.selection_problem import CHOICES, TASK, build_problem, index_values
 
 N, COUNT, D = 12, 4, 5
 LARGEST_GAP = {"O1": 0.0, "O2": 0.05, "O3": 0.04, "O4": 0.05, "O5": 0.01, TASK: 0.005}
@@ -27,10 +26,13 @@ def everywhere(n=N):
 
 
 def merit(problem, chosen, index):
-    mask = np.zeros(len(problem), dtype=bool)
-    mask[list(chosen)] = True
-    value = index_values(problem, mask, 1.0)[index]
+    value = index_values(problem, np.isin(np.arange(len(problem)), list(chosen)), 1.0)[index]
     return 1 / value if index == TASK else value
+
+
+def improved(problem, index, start):
+    """The best choice that exchanges and swaps reach from a start."""
+    return swap(exchange(problem, index, start, everywhere()), everywhere()).chosen
 
 
 @pytest.mark.quick(1)
@@ -40,12 +42,7 @@ def test_five_starts_against_all_subsets(index):
     for seed in range(8):
         problem, rng = made_up(seed)
         starts = [uniform_start(np.arange(N), COUNT)] + [rng.choice(N, COUNT, replace=False) for _ in range(4)]
-        result = max(
-            merit(
-                problem, np.flatnonzero(swap(exchange(problem, index, start, everywhere()), everywhere()).chosen), index
-            )
-            for start in starts
-        )
+        result = max(merit(problem, np.flatnonzero(improved(problem, index, start)), index) for start in starts)
         best = max(merit(problem, subset, index) for subset in combinations(range(N), COUNT))
         assert best * (1 - LARGEST_GAP[index] - 1e-9) <= result <= best * (1 + 1e-9)
         equal += result >= best * (1 - 1e-9)
@@ -55,8 +52,8 @@ def test_five_starts_against_all_subsets(index):
 @pytest.mark.parametrize("index", CHOICES)
 def test_after_swaps_no_single_swap_helps(index):
     problem, _ = made_up(1)
-    done = swap(exchange(problem, index, uniform_start(np.arange(N), COUNT), everywhere()), everywhere())
-    inside, outside = np.flatnonzero(done.chosen), np.flatnonzero(~done.chosen)
+    chosen = improved(problem, index, uniform_start(np.arange(N), COUNT))
+    inside, outside = np.flatnonzero(chosen), np.flatnonzero(~chosen)
     reached = merit(problem, inside, index)
     for out in inside:
         for into in outside:
@@ -70,7 +67,7 @@ def test_the_history_rises_and_leads_from_start_to_end(index):
     done = exchange(problem, index, start, everywhere())
     assert np.all(np.diff(done.values) > 0)
     chosen = set(start.tolist())
-    for added, removed in done.history[1:]:
+    for added, removed in done.history:
         chosen = chosen - {removed} | {added}
     assert chosen == set(np.flatnonzero(done.chosen).tolist())
     assert len(chosen) == COUNT

@@ -42,13 +42,8 @@ def information(robot, q):
     scales, step = np.array([p.sigma_si for p in robot.parameters]), 1e-3
     sides = []
     for sign in (1, -1):
-        points = np.stack(
-            [
-                robot.with_parameters(robot.values + sign * step * scales * unit).positions(q)[:, 0]
-                for unit in np.eye(len(scales))
-            ],
-            axis=2,
-        )
+        moved = [robot.with_parameters(robot.values + sign * step * each) for each in np.diag(scales)]
+        points = np.stack([robot.positions(q)[:, 0] for robot in moved], axis=2)
         sides.append({"tracker": points, "bar": np.linalg.norm(points - END[:, None], axis=1)[:, None]})
     rows = {name: (sides[0][name] - sides[1][name]) / (2 * step * SIGMA[name]) for name in SIGMA}
     return {name: jacobian.transpose(0, 2, 1) @ jacobian for name, jacobian in rows.items()}
@@ -65,14 +60,13 @@ def chosen_pairs(result):
 
 def best_of_all(parts, pairs, count, counts=None):
     """Best O1 over all subsets of pairs, with their information, and whether each has the wanted numbers."""
-    best, which = 0.0, None
-    for subset in combinations(pairs, count):
-        if counts and any(sum(name == kind for _, name in subset) != n for kind, n in counts.items()):
-            continue
-        value = o1(sum(parts[name][k] for k, name in subset), count)
-        if value > best:
-            best, which = value, set(subset)
-    return best, which
+    subsets = [
+        subset
+        for subset in combinations(pairs, count)
+        if all(sum(name == kind for _, name in subset) == n for kind, n in (counts or {}).items())
+    ]
+    values = [o1(sum(parts[name][k] for k, name in subset), count) for subset in subsets]
+    return max(values), set(subsets[np.argmax(values)])
 
 
 @pytest.mark.parametrize("counts", [None, {"tracker": 2, "bar": 3}], ids=["free", "counted"])
@@ -103,9 +97,8 @@ def test_the_noise_of_an_instrument_decides_how_often_it_is_chosen(tmp_path):
         numbers.append(selection.instruments.count("tracker"))
         assert len(chosen_pairs(selection)) == 20
         assert selection.efficiency > 0.97
-    assert numbers[0] < numbers[1] <= numbers[2]
     assert numbers[0] <= 12
-    assert numbers[2] == 20
+    assert numbers[0] < numbers[1] <= numbers[2] == 20
 
 
 def test_each_instrument_gets_the_number_that_is_asked_for_and_a_path_of_its_own(tmp_path):
@@ -243,8 +236,6 @@ def test_a_plan_is_checked_simulated_and_fitted(planned, run_calib):
         (("--count", "tracker=3,bar"), None, "--count tracker=3,bar: must be a number, or one for each"),
         (("--count", "many"), None, "--count many: must be a number"),
         (("--count", "tracker=3,tracker=4"), None, "name each instrument, or each group of them, once"),
-        (("--count", "9", "--instruments", "wire"), None, "no instrument 'wire'"),
-        (("--count", "9", "--instruments", "each"), (",probe,", ",prob,"), "add a column 'probe' that names it"),
         (("--count", "9"), (",left,", ",lift,"), "column 'probe': 'probe' touches nothing called 'lift'"),
         (("--count", "9"), ("remark", "instrument"), "column 'instrument': no instrument 'as it was'"),
     ],

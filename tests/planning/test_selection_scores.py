@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-import calib
-from calib.core.base.parameter import Parameter
 from calib.core.numerics.observability import observability
-from calib.planning.selection_problem import TASK, build_problem
-from calib.planning.selection_scores import CHOICES, index_of_score, index_values, raw_columns, scores
+from calib.planning.selection_problem import CHOICES, TASK, build_problem, index_of_score, index_values
+from calib.planning.selection_scores import scores
 
 N, K, D = 14, 3, 6
 
@@ -16,13 +14,6 @@ def made_up(seed=0, n=N, k=K, d=D):
     rng = np.random.default_rng(seed)
     rows = rng.standard_normal((n, k, d)) * np.array([1.0, 0.3, 2.0, 0.1, 1.0, 0.5])[:d]
     return rows, rng.standard_normal((5, k, d))
-
-
-def test_raw_columns_are_in_millimetres_per_unit_of_table():
-    length = Parameter("a", "length", 0.1, 2e-3, "mm")
-    angle = Parameter("b", "angle", 0.0, 0.02, "deg")
-    # 1 m per m is 1 mm per mm; 1 m per rad is 17.45 mm per degree
-    np.testing.assert_allclose(raw_columns(np.array([1.0, 1.0]), (length, angle)), [1.0, 1e3 * np.pi / 180], rtol=1e-15)
 
 
 def plain_value(rows, task, chosen, index, sigma=1.0, known=None):
@@ -41,25 +32,18 @@ def plain_value(rows, task, chosen, index, sigma=1.0, known=None):
 def test_values_are_those_of_the_rows(index):
     rows, task = made_up()
     problem = build_problem(rows / 0.3, task_rows=task)  # whitened by a noise of 0.3
-    chosen = np.zeros(N, dtype=bool)
-    chosen[[1, 4, 5, 9]] = True
+    chosen = np.isin(np.arange(N), [1, 4, 5, 9])
     expected = plain_value(rows, task, chosen, index, 0.3)
     assert index_values(problem, chosen, 0.3)[index] == pytest.approx(expected, rel=1e-9)
     score = scores(problem, index, chosen).value
     assert index_of_score(problem, index, score, 4, 0.3) == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("index", CHOICES)
-def test_values_with_priors_and_measured_poses_are_those_of_the_stacked_rows(index):
-    rows, task = made_up()
-    known = np.vstack([0.1 * np.eye(D)[:4], rows[13]])
-    problem = build_problem(rows[:13], rows[13], 0.1 * np.eye(D)[:4], 1, task)
-    chosen = np.zeros(13, dtype=bool)
-    chosen[[0, 3, 7]] = True
-    expected = plain_value(rows[:13], task, chosen, index, known=known)
+    # with priors and a measured pose, of the stacked rows
+    priors = 0.1 * np.eye(D)[:4]
+    problem = build_problem(rows[:13], rows[13], priors, 1, task)
+    expected = plain_value(rows[:13], task, chosen[:13], index, known=np.vstack([priors, rows[13]]))
     if index == "O1":
-        expected *= np.sqrt(3 / 4)  # the measured pose counts among the poses
-    assert index_values(problem, chosen, 1.0)[index] == pytest.approx(expected, rel=1e-9)
+        expected *= np.sqrt(4 / 5)  # the measured pose counts among the poses
+    assert index_values(problem, chosen[:13], 1.0)[index] == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("index", CHOICES)
@@ -69,8 +53,7 @@ def test_the_best_move_is_the_best_of_all_tried_one_by_one(index, k, add):
     for seed in range(5):
         rows, task = made_up(seed, k=k)
         problem = build_problem(rows, task_rows=task)
-        chosen = np.zeros(N, dtype=bool)
-        chosen[np.random.default_rng(seed).choice(N, 5, replace=False)] = True
+        chosen = np.isin(np.arange(N), np.random.default_rng(seed).choice(N, 5, replace=False))
         allowed = ~chosen if add else chosen
         allowed[np.flatnonzero(allowed)[0]] = False
         result = scores(problem, index, chosen).best_move(allowed, add=add)
@@ -88,9 +71,7 @@ def test_the_best_move_is_the_best_of_all_tried_one_by_one(index, k, add):
 def test_a_hundred_updates_do_not_drift(index):
     rows, task = made_up(n=40)
     problem = build_problem(rows, task_rows=task)
-    rng = np.random.default_rng(3)
-    chosen = np.zeros(40, dtype=bool)
-    chosen[:10] = True
+    rng, chosen = np.random.default_rng(3), np.arange(40) < 10
     state = scores(problem, index, chosen)
     for _ in range(100):
         added, removed = rng.choice(np.flatnonzero(~chosen)), rng.choice(np.flatnonzero(chosen))
@@ -99,15 +80,6 @@ def test_a_hundred_updates_do_not_drift(index):
     fresh = scores(problem, index, chosen)
     assert state.value == pytest.approx(fresh.value, rel=1e-9)
     assert state.best_move(~chosen, add=True) == fresh.best_move(~chosen, add=True)
-
-
-@pytest.mark.parametrize("index", CHOICES)
-def test_a_pose_that_alone_sees_a_direction_cannot_be_spared(index):
-    rows, task = made_up()
-    rows[1:, :, 0] = 0.0
-    problem = build_problem(rows, task_rows=task)
-    state = scores(problem, index, np.ones(N, dtype=bool))
-    assert state.spares(np.arange(N)).tolist() == [False] + [True] * (N - 1)
 
 
 @pytest.mark.parametrize("index", CHOICES)
@@ -120,7 +92,7 @@ def test_a_pose_can_be_spared_where_every_direction_keeps_a_hundredth(index):
 
 
 @pytest.mark.parametrize("index", CHOICES)
-@pytest.mark.parametrize("weak", [1e-4, 1e-8])
+@pytest.mark.parametrize("weak", [1.0, 1e-4, 1e-8])
 def test_a_weak_direction_is_lost_or_kept_by_what_is_seen_of_it(index, weak):
     """Squares of 1e-8 are below the rounding of those of 1; whether a direction is lost does not depend on that."""
     rows, task = made_up()
@@ -183,9 +155,3 @@ def test_all_candidates_together_are_the_identity():
     rows, task = made_up()
     problem = build_problem(rows[2:], rows[:2].reshape(-1, D), None, 2, task)
     np.testing.assert_allclose(problem.information_of(np.ones(N - 2)), np.eye(D), atol=1e-12)
-
-
-def test_an_unknown_index_names_the_nearest():
-    problem = build_problem(made_up()[0])
-    with pytest.raises(calib.InputError, match="'O6'"):
-        scores(problem, "O6", np.ones(N, dtype=bool))

@@ -24,6 +24,19 @@ UNCHECKED = (
     "note: collisions are not checked: the robot file has no collision shapes, and the description names no obstacles\n"
 )
 HEADER = next(k for k, line in enumerate(LINES) if not line.startswith("#")) + 1  # lines up to the header
+WATCH = ("watch", EXAMPLES / "arm.yaml")
+
+
+def write(path, n, *more):
+    """Write the first n measured poses, then further lines; return the path."""
+    path.write_text("".join([*LINES[: HEADER + n], *more]))
+    return path
+
+
+@pytest.fixture
+def growing(robot, tmp_path):
+    """A file that is not there yet, and its path."""
+    return GrowingFile(str(tmp_path / "growing.csv"), robot), tmp_path / "growing.csv"
 
 
 @pytest.fixture(scope="module")
@@ -136,12 +149,15 @@ def test_it_says_stop_only_where_both_intervals_keep_the_goal(robot, data, candi
     told = calib.Watch(robot, 1e-4, candidates=candidates).update(data)
     good, bad = RootMeanSquare(8e-5, 7e-5, 9e-5), RootMeanSquare(9.5e-5, 8e-5, 1.1e-4)
     worse = RootMeanSquare(2e-4, 1.5e-4, 3e-4)
-    assert replace(told, predicted=good, unseen=good).stop
-    assert not replace(told, predicted=bad, unseen=good).stop
-    assert not replace(told, predicted=good, unseen=bad).stop
-    assert not replace(told, predicted=good, unseen=bad).out_of_reach
-    assert replace(told, predicted=good, unseen=worse, n_settled=told.n_unseen).out_of_reach
-    assert not replace(told, predicted=good, unseen=worse, n_settled=3).out_of_reach
+    for predicted, unseen, n_settled, stop, out_of_reach in (
+        (good, good, told.n_settled, True, False),
+        (bad, good, told.n_settled, False, False),
+        (good, bad, told.n_settled, False, False),
+        (good, worse, told.n_unseen, False, True),
+        (good, worse, 3, False, False),
+    ):
+        changed = replace(told, predicted=predicted, unseen=unseen, n_settled=n_settled)
+        assert (changed.stop, changed.out_of_reach) == (stop, out_of_reach)
 
 
 @pytest.mark.quick(0)
@@ -172,20 +188,13 @@ def test_poses_since_the_goal_was_promised_are_what_counts(robot, data, candidat
     assert (told.n_unseen, told.n_settled) == (LEAST, LEAST)
 
 
-def test_what_is_measured_again_was_seen(robot, data, candidates):
+def test_what_is_measured_again_was_seen_and_measurements_that_do_not_go_on_are_judged_anew(robot, data, candidates):
     watch = calib.Watch(robot, 1e-4, candidates=candidates)
     watch.update(data[:30])
     before = watch.update(data[:31])
-    again = watch.update(data[[*range(31), 5, 6]])
-    assert again.n_unseen == before.n_unseen
-
-
-def test_measurements_that_do_not_go_on_are_judged_anew(robot, data, candidates):
-    watch = calib.Watch(robot, 1e-4, candidates=candidates)
-    watch.update(data[:60])
+    assert watch.update(data[[*range(31), 5, 6]]).n_unseen == before.n_unseen > 0
     told = watch.update(data[20:40])
-    assert told.n_unseen == 0
-    assert told.n_poses == 20
+    assert (told.n_unseen, told.n_poses) == (0, 20)
 
 
 @pytest.mark.parametrize(
@@ -197,44 +206,34 @@ def test_a_goal_is_a_positive_length(robot, arguments, words):
         calib.Watch(robot, **arguments)
 
 
-def test_a_half_written_line_is_waited_for(robot, tmp_path):
-    path = tmp_path / "growing.csv"
-    file = GrowingFile(str(path), robot)
+def test_a_half_written_line_is_waited_for(growing):
+    file, path = growing
     assert file.read_changes() is None
-    path.write_text("".join(LINES[:HEADER]))
+    for n, rest, n_read in (
+        (0, "", None),
+        (3, LINES[HEADER + 3][:-4], 3),
+        (3, LINES[HEADER + 3][:-1], None),
+        (4, "", 4),
+    ):
+        write(path, n, rest)
+        told = file.read_changes()
+        assert (None if told is None else len(told)) == n_read
     assert file.read_changes() is None
-    path.write_text("".join(LINES[: HEADER + 3]) + LINES[HEADER + 3][:-4])
-    assert len(file.read_changes()) == 3
-    path.write_text("".join(LINES[: HEADER + 3]) + LINES[HEADER + 3][:-1])
+    write(path, 0, LINES[HEADER].rsplit(",", 3)[0] + ",,,\n")  # a row without readings
     assert file.read_changes() is None
-    path.write_text("".join(LINES[: HEADER + 4]))
-    assert len(file.read_changes()) == 4
-    assert file.read_changes() is None
-
-
-def test_rows_without_readings_are_waited_for_too(robot, tmp_path):
-    path = tmp_path / "plan.csv"
-    joints = LINES[HEADER].rsplit(",", 3)[0]
-    path.write_text("".join(LINES[:HEADER]) + f"{joints},,,\n")
-    assert GrowingFile(str(path), robot).read_changes() is None
 
 
 def test_a_file_is_followed_until_the_goal_holds(run_calib, tmp_path):
-    path, state = tmp_path / "growing.csv", tmp_path / "state.json"
-    path.write_text("".join(LINES[: HEADER + 60]))
+    path, state = write(tmp_path / "growing.csv", 60), tmp_path / "state.json"
 
-    def write():
+    def grow():
         for k in (65, 72, 80):
             time.sleep(0.6)
-            with path.open("a") as stream:
-                stream.write("".join(LINES[HEADER + done() : HEADER + k]))
+            write(path, k)
 
-    def done():
-        return len(path.read_text().splitlines()) - HEADER
-
-    writer = threading.Thread(target=write)
+    writer = threading.Thread(target=grow)
     writer.start()
-    run = run_calib("watch", EXAMPLES / "arm.yaml", path, "--goal", "0.08mm", "--every", "0.1", "--json", state)
+    run = run_calib(*WATCH, path, "--goal", "0.08mm", "--every", "0.1", "--json", state)
     writer.join()
     assert (run.code, run.err) == (0, UNCHECKED)
     assert "not yet" in run.out
@@ -247,9 +246,7 @@ def test_a_file_is_followed_until_the_goal_holds(run_calib, tmp_path):
 
 
 def test_every_state_is_a_line_for_programs(run_calib):
-    run = run_calib(
-        "watch", EXAMPLES / "arm.yaml", EXAMPLES / "arm_simulated.csv", "--goal", "0.1mm", "--once", "--json", "-"
-    )
+    run = run_calib(*WATCH, EXAMPLES / "arm_simulated.csv", "--goal", "0.1mm", "--once", "--json", "-")
     (line,) = run.out.splitlines()
     content = json.loads(line)
     assert (run.code, content["stop"], content["poses"]) == (0, True, 80)
@@ -260,31 +257,32 @@ def test_every_state_is_a_line_for_programs(run_calib):
     [
         (("--goal", "0.1"), "write its unit, such as 0.1mm"),
         (("--goal", "0.1mm", "--view"), "leave one of them out"),
-        (("--goal", "0.1mm", "--sigma-mm", "-1"), "positive"),
         (("--goal", "0.1mm", "--every", "0"), "--every"),
         ((), "--goal"),
     ],
 )
 def test_bad_input_is_one_line(run_calib, arguments, words):
-    run = run_calib("watch", EXAMPLES / "arm.yaml", EXAMPLES / "arm_simulated.csv", "--once", *arguments)
+    run = run_calib(*WATCH, EXAMPLES / "arm_simulated.csv", "--once", *arguments)
     assert words in run.refusal()
 
 
 @pytest.mark.quick(0)
-def test_too_few_poses_are_an_error_only_where_nobody_waits(run_calib, tmp_path):
-    path = tmp_path / "few.csv"
-    path.write_text("".join(LINES[: HEADER + 4]))
-    run = run_calib("watch", EXAMPLES / "arm.yaml", path, "--goal", "0.1mm", "--once")
+def test_too_few_poses_and_lines_that_cannot_be_read_are_errors_only_where_nobody_waits(run_calib, tmp_path):
+    once = ("--goal", "0.1mm", "--once")
+    run = run_calib(*WATCH, write(tmp_path / "few.csv", 4), *once)
     assert run.code == 3  # they do not determine the robot
     assert "next: pose" in run.out
     assert run.err.count("\n") == 1
+    path = write(tmp_path / "few.csv", 3, "what\n", *LINES[HEADER + 3 : HEADER + 30])
+    run = run_calib(*WATCH, path, *once)
+    assert (run.code, run.out) == (2, "")
+    assert run.err.startswith(f"calib: {path}, line {HEADER + 4}: 1 cells for")
 
 
-def test_a_line_that_cannot_be_read_is_told_and_passed_over(robot, tmp_path):
-    path = tmp_path / "growing.csv"
-    file = GrowingFile(str(path), robot)
+def test_a_line_that_cannot_be_read_is_told_and_passed_over(growing):
+    file, path = growing
     good, word = LINES[HEADER : HEADER + 5], LINES[HEADER + 5].replace(",", ",x", 1)
-    path.write_text("".join([*LINES[:HEADER], *good[:3], "what\n", good[3]]))
+    write(path, 3, "what\n", good[3])
     assert file.read_changes().names == tuple(line.split(",")[0] for line in good[:4])
     (said,) = file.remarks()
     assert said.startswith(f"{path}, line {HEADER + 4}: 1 cells for")
@@ -297,14 +295,6 @@ def test_a_line_that_cannot_be_read_is_told_and_passed_over(robot, tmp_path):
     path.write_text(path.read_text().replace(word, word.replace(",x", ",", 1)))
     assert len(file.read_changes()) == 6
     assert not file.remarks()
-
-
-def test_a_line_that_cannot_be_read_is_an_error_where_nobody_waits(run_calib, tmp_path):
-    path = tmp_path / "few.csv"
-    path.write_text("".join([*LINES[: HEADER + 3], "what\n", *LINES[HEADER + 3 : HEADER + 30]]))
-    run = run_calib("watch", EXAMPLES / "arm.yaml", path, "--goal", "0.1mm", "--once")
-    assert (run.code, run.out) == (2, "")
-    assert run.err.startswith(f"calib: {path}, line {HEADER + 4}: 1 cells for")
 
 
 def test_a_pose_that_cannot_be_assembled_is_passed_over(tmp_path):
@@ -326,21 +316,17 @@ def test_a_pose_that_cannot_be_assembled_is_passed_over(tmp_path):
 @pytest.mark.quick(0)
 def test_a_file_of_which_no_line_can_be_read_is_an_error(run_calib, tmp_path):
     path = tmp_path / "other.csv"
-    path.write_text("a,b\n1,2\n3,4\n")
-    run = run_calib("watch", EXAMPLES / "arm.yaml", path, "--goal", "0.1mm")
-    assert run.code == 2
-    assert "no column 'joint_1'" in run.err
-    path.write_text("".join(LINES[:HEADER]) + 120 * "what\n" + "".join(LINES[HEADER : HEADER + 5]))
-    run = run_calib("watch", EXAMPLES / "arm.yaml", path, "--goal", "0.1mm")
-    assert run.code == 2
-    assert "1 cells" in run.err
+    wrong = "".join([*LINES[:HEADER], 120 * "what\n", *LINES[HEADER : HEADER + 5]])
+    for text, said in (("a,b\n1,2\n3,4\n", "no column 'joint_1'"), (wrong, "1 cells")):
+        path.write_text(text)
+        run = run_calib(*WATCH, path, "--goal", "0.1mm")
+        assert run.code == 2
+        assert said in run.err
 
 
 @pytest.mark.quick(0)
 def test_ctrl_c_ends_it_in_order(tmp_path):
-    path = tmp_path / "few.csv"
-    path.write_text("".join(LINES[: HEADER + 4]))
-    command = [sys.executable, "-m", "calib", "watch", str(EXAMPLES / "arm.yaml"), str(path), "--goal", "0.1mm"]
+    command = [sys.executable, "-m", "calib", *map(str, WATCH), str(write(tmp_path / "few.csv", 4)), "--goal", "0.1mm"]
     started = start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         while "joint_1" not in started.stdout.readline():  # it has told about the file

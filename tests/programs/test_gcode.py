@@ -15,6 +15,7 @@ from calib.programs.commands.compensate import command
 from calib.programs.languages.gcode import read_gcode
 from calib.programs.languages.straight_moves import StraightMoves, compensate_moves
 from calib.starting.command import command as init
+from tests.programs.gcode_firmwares import Cnc
 from tests.programs.test_correction_grid import gantry
 from tests.project import EXAMPLES
 
@@ -43,19 +44,9 @@ ENDS = [(0, 0, 20), (-90, -60, 5), (95, 70, 5), (95, -50, 8), (6.1, -50, 8), (-9
 
 
 def told_points(text, start):
-    """Ends of the motions of a written program, by another reader than the engine's, (n, 3) [mm], from `start` on."""
-    at, relative, unit, points = np.array(start, dtype=float), False, 1.0, [np.array(start, dtype=float)]
-    for line in text.splitlines():
-        line = re.sub(r"\(.*?\)|;.*", "", line)
-        for word in line.split():
-            relative = {"G90": False, "G91": True}.get(word, relative)
-            unit = {"G20": 25.4, "G21": 1.0}.get(word, unit)
-        axes = {word[0]: float(word[1:]) * unit for word in line.split() if re.fullmatch(r"[XYZ]-?[\d.]+", word)}
-        if axes and "M" not in line:
-            given = np.array([axes[axis] for axis in "XYZ"])  # all three in every motion that was compensated
-            at = at + given if relative else given
-            points.append(at)
-    return np.array(points)
+    """Ends of the motions of a written program, as a milling machine runs it, (n, 3) [mm], from `start` on."""
+    steps = Cnc(np.array(start, dtype=float), {}).run(text).steps
+    return np.array([start, *(step.end for step in steps if step.commanded)])
 
 
 def off_the_path(points, corners):
@@ -94,12 +85,12 @@ def delta(tmp_path_factory):
     (folder / "known.yaml").write_text(
         text.replace("pose: unknown", "pose: known").replace("position: unknown, sigma: 2 mm", "position: known")
     )
-    return calib.load(folder / "delta.yaml"), calib.load(folder / "known.yaml")
+    return calib.load(folder / "known.yaml")
 
 
 @pytest.mark.quick(0)
 def test_a_delta_goes_straight_within_tolerance_and_calibration(delta, tmp_path):
-    robot = delta[1]
+    robot = delta
     rng = np.random.default_rng(1)
     drawn = {p.name: p.nominal_si + 0.5 * p.sigma_si * rng.standard_normal() for p in robot.parameters}
     truth = robot.with_parameters(drawn)  # simulated
@@ -167,17 +158,6 @@ def test_a_program_that_is_told_its_own_points_keeps_them(tmp_path):
     program = read_gcode(tmp_path / "part.g", (0.0, 0.0, 0.0))
     written = told_points(program.rewritten([np.array([move.end]) for move in program.moves]), (0, 0, 0))
     assert np.abs(written[-1] - [299.99997, 111.11103, 0]).max() < 1.1e-4
-
-
-@pytest.mark.quick(0)
-def test_a_reflector_and_a_tracker_elsewhere_move_no_point(delta):
-    robot = delta[0]
-    moved = robot.with_parameters({"base.x": 1.5, "base.rz": 0.8, "tool.x": 0.02, "tool.z": -0.03})
-    ends = np.array([[0.05, 0.0, -0.45], [-0.05, 0.06, -0.4]])
-    moves = StraightMoves(np.array([[np.nan] * 3, ends[0]]), ends, ("a", "b"))
-    compensated = compensate_moves(moved, moves, 1e-5)
-    assert np.abs(np.concatenate(compensated.waypoints) - ends).max() < 1e-6
-    assert np.isnan(compensated.deviations[0])
 
 
 @pytest.fixture(scope="module")
@@ -293,7 +273,7 @@ def test_e_that_firmwares_read_differently_is_refused_where_a_move_is_cut(tmp_pa
     assert "G1 X10 Y0 Z0 E1" in program.rewritten([ways[0], ways[1][1:]])
 
 
-def test_other_robots_and_too_sharp_bends_are_refused(tmp_path, delta):
+def test_other_robots_and_too_sharp_bends_are_refused(tmp_path):
     arm = calib.load(EXAMPLES / "arm.yaml")
     moves = StraightMoves(np.full((1, 3), np.nan), np.array([[0.5, 0, 0.5]]), ("line 1",))
     with pytest.raises(calib.DataError, match="has 6 motors; a program of X, Y and Z is for a machine of three"):

@@ -20,13 +20,13 @@ from calib.core.robots.robot import Robot
 from calib.quality import installation, operation, performance
 from calib.quality.command import protocol_document
 from calib.quality.documents import Document, DocumentRows
-from calib.quality.protocol import Check, Outcome, Phase, Protocol, done
+from calib.quality.protocol import Check, Outcome, Phase, Protocol, run_checks
 from calib.quality.references import sample_robots
 
 
 def failures(*pieces):
     """Subjects of failed checks of pieces of work, by the function that does each."""
-    checks = done((Phase.OPERATION, piece.__name__, piece) for piece in pieces)
+    checks = run_checks([(Phase.OPERATION, piece.__name__, piece) for piece in pieces])
     return [check.subject for check in checks if check.outcome is Outcome.FAIL]
 
 
@@ -191,7 +191,7 @@ def test_work_that_ends_in_an_error_is_a_failed_check():
         yield Check.from_values(Phase.OPERATION, "one", "", "", True)
         raise ValueError("no such matrix")
 
-    checks = list(done([(Phase.OPERATION, "two", broken)]))
+    checks = run_checks([(Phase.OPERATION, "two", broken)])
     assert [check.outcome for check in checks] == [Outcome.PASS, Outcome.FAIL]
     assert checks[1].found == "ValueError: no such matrix"
 

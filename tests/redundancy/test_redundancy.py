@@ -312,33 +312,17 @@ def spooled(folder):
     return robot, true, drawn
 
 
-CASES = {
-    "sighting": sighted,
-    "self_touch": self_touched,
-    "pointing": pointed,
-    "holes": pegged,
-    "drive": driven,
-    "rotary": machined,
-    "cables": spooled,
-}
-
-
 def fit_of(case, folder, seed=1):
     """A calibration of a case."""
     data = case(folder)[2](np.random.default_rng(seed))
     return calib.fit(data.robot, data)
 
 
-def found_of(fit):
-    """What a fit found, by name."""
-    return dict(zip(fit.free_names, fit.robot.values[fit.unknowns.index], strict=True))
-
-
 @pytest.mark.quick(0)
 @pytest.mark.amount(3, 40)
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [sighted, self_touched, pointed, pegged, driven, machined, spooled])
 def test_intervals_hold_the_truth(tmp_path, case, amount):
-    _, true, drawn = CASES[case](tmp_path)
+    _, true, drawn = case(tmp_path)
     hits, squares = [], []
     for seed in range(amount):
         data = drawn(np.random.default_rng([9, seed]))
@@ -473,7 +457,8 @@ def test_what_a_hand_that_turns_about_the_vertical_alone_cannot_tell_is_named(tm
     with pytest.raises(calib.NotIdentifiableError, match=r"not separable: camera\.z, marker\.z; hold 1 of them"):
         calib.fit(robot, data)
     held = robot.fix("marker.z")
-    found = found_of(calib.fit(held, calib.as_measurements(held, q, {"camera": data.readings["camera"]})))
+    fit = calib.fit(held, calib.as_measurements(held, q, {"camera": data.readings["camera"]}))
+    found = fit.robot.values_by_name
     assert [found["camera.x"], found["camera.y"]] == pytest.approx([-0.456, -0.037], abs=2e-4)
 
 
@@ -499,10 +484,10 @@ def test_stars_on_both_sides_of_an_equatorial_mount_give_the_published_terms(tmp
     q, stars = (np.radians(np.column_stack([lst - at[:, 0], at[:, 1]])) for at in (read, true))
     yaml = MOUNT_YAML.replace(", sigma: 5 arcsec", "").partition("joint_terms")[0] + "held: [IA, AW]\n"
     robot = load(tmp_path, "mount.yaml", yaml, MOUNT)
-    found = found_of(calib.fit(robot, calib.as_measurements(robot, q, {"star": stars})))
+    found = calib.fit(robot, calib.as_measurements(robot, q, {"star": stars})).robot.values_by_name
     published = {"IE": -1613.58, "CA": 216.39, "NPAE": -444.38, "AN": -143.16}
     # a standard deviation is 7 to 21 arc seconds
-    assert {name: value / ARCSEC for name, value in found.items()} == pytest.approx(published, abs=5.0)
+    assert {name: found[name] / ARCSEC for name in published} == pytest.approx(published, abs=5.0)
 
 
 @pytest.mark.skipif(not (SHARED / "telescope_altaz").is_dir(), reason="the stars are not here")
@@ -540,6 +525,9 @@ def test_offsets_of_a_mount_are_shown_in_arc_seconds_and_no_positions(tmp_path):
     assert {unit for _, unit in words.values()} == {"arcsec"}
     assert float(words["IE"][0]) == pytest.approx(STARS["IE"], abs=30.0)
     assert position_uncertainty_table(fit) == {}
+    for other, over_places in ((fit, False), (fit_of(sighted, tmp_path), True)):  # a mount turns about one place
+        charts = [chart.name for chart in error_charts(other, scene_of_fit(other))]
+        assert any("planes" in name for name in charts) == over_places
 
 
 def test_a_gain_of_the_size_that_the_description_expects_is_no_scaled_joint(tmp_path):
@@ -549,13 +537,6 @@ def test_a_gain_of_the_size_that_the_description_expects_is_no_scaled_joint(tmp_
     more = replace(read, values=read.values + 0.015 * data.joints)
     fit = calib.fit(data.robot, replace(data, readings={"encoder": more}))
     assert "joint_scaled" not in fit.verdict.to_dict()["codes"]
-
-
-def test_errors_of_a_mount_that_turns_about_one_place_are_not_drawn_over_places(tmp_path):
-    for case, drawn_over_places in ((pointed, False), (sighted, True)):
-        fit = fit_of(case, tmp_path)
-        charts = [chart.name for chart in error_charts(fit, scene_of_fit(fit))]
-        assert any("planes" in name for name in charts) == drawn_over_places
 
 
 @pytest.mark.quick(0)
@@ -569,7 +550,7 @@ def test_every_second_position_of_a_real_cable_robot_tells_of_the_others(tmp_pat
         names = [instrument.name for instrument in robot.instruments]
         read = {name: turned[used][:, [k]] for k, name in enumerate(names)}
         fit = calib.fit(robot, calib.as_measurements(robot, q[used], read), loss="huber")
-        value = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
+        value = fit.robot.values_by_name
         anchors = np.array([[value[f"{name}_anchor.{axis}"] for axis in "xyz"] for name in names])
         noise = np.array([np.sqrt(np.mean(fit.identification.after[name] ** 2)) for name in names])
         phi = turned[others] * 20 / 255

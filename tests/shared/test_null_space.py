@@ -30,35 +30,27 @@ def test_groups_that_were_put_in_come_out():
     assert null_groups(np.random.default_rng(0).standard_normal((9, 4))) == ()  # full rank
 
 
-def test_a_held_column_speaks_for_its_group():
-    (group,) = null_groups(matrix_with_null_vectors([[1, -2, 0]]), dropped=[1])
-    assert group.members == (1, 0)
-    np.testing.assert_allclose(group.coefficients, [1.0, -0.5], rtol=1e-9)
-
-
 @pytest.mark.parametrize("seed", range(8))
-def test_a_held_column_that_moves_a_tenth_speaks_whatever_the_rounding(seed):
+def test_a_held_column_that_moves_a_tenth_speaks_for_its_group_whatever_the_rounding(seed):
     (group,) = null_groups(matrix_with_null_vectors([[10, 1, 0, 0]], seed=seed), dropped=[1])
     assert group.members == (1, 0)
+    np.testing.assert_allclose(group.coefficients, [1.0, 10.0], rtol=1e-9)
 
 
 def brute_force_length(basis):
     """Total length of the shortest basis, by trying every support."""
     n, k = basis.shape
     results = []
-    for size in range(1, n + 1):
-        for support in combinations(range(n), size):
-            outside = np.delete(basis, support, axis=0)
-            _, s, vt = np.linalg.svd(outside) if len(outside) else (None, np.zeros(0), np.eye(k))
-            rank = int(np.sum(s > 1e-9))
-            if rank == k - 1:
-                vector = basis @ vt[-1]
-                if np.all(np.abs(vector[list(support)]) > 1e-9):
-                    if np.linalg.matrix_rank(np.array([*results, vector]), tol=1e-9) > len(results):
-                        results.append(vector)
-                    if len(results) == k:
-                        return sum(int(np.sum(np.abs(v) > 1e-9)) for v in results)
-    raise AssertionError
+    supports = (support for size in range(1, n + 1) for support in combinations(range(n), size))
+    while len(results) < k:
+        support = next(supports)
+        outside = np.delete(basis, support, axis=0)
+        _, s, vt = np.linalg.svd(outside) if len(outside) else (None, np.zeros(0), np.eye(k))
+        vector = basis @ vt[-1]
+        is_elementary = np.sum(s > 1e-9) == k - 1 and np.all(np.abs(vector[list(support)]) > 1e-9)
+        if is_elementary and np.linalg.matrix_rank(np.array([*results, vector]), tol=1e-9) > len(results):
+            results.append(vector)
+    return sum(int(np.sum(np.abs(v) > 1e-9)) for v in results)
 
 
 def sparse_subspace(seed, n=9, k=4):

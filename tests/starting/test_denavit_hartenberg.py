@@ -8,7 +8,6 @@ import pytest
 from click.testing import CliRunner
 
 import calib
-from calib.core.base.errors import InputError
 from calib.core.robots.robot_files import urdf_of_origins
 from calib.exporting.dh_tables import dh_table, table_poses
 from calib.shared.denavit_hartenberg import DhRow
@@ -204,7 +203,6 @@ GOOD = "# convention: standard\njoint,type,theta [deg],d [mm],a [mm],alpha [deg]
         ("revolute", "revolut", "unknown type 'revolut'; did you mean 'revolute'?"),
         ("revolute", "prismatic", "a prismatic joint needs limits"),
         ("revolute", "fixed", "every row is fixed"),
-        (",90,,", ",90,5 deg,", "limits need a lower and a larger upper"),
         (",90,,", ",90,5 deg,-5 deg", "limits need a lower and a larger upper"),
         (",90,,", ",90,5 mm,9 mm", "unit 'mm' is for a length"),
         ("one,revolute,0,1,2,90,,\n", "one,revolute,0,1,2,90,,\n" * 2, "joint 'one' appears twice"),
@@ -225,7 +223,6 @@ def test_bad_tables(old: str, new: str, words: str, tmp_path: Path, run_calib) -
         (("arm.urdf", "--dh", "good.csv", "--out", "x.yaml"), "give one of these"),
         (("arm.urdf", "--convention", "modified", "--out", "x.yaml"), "is for a table given with --dh"),
         (("--dh", "good.csv", "--convention", "modified", "--out", "x.yaml"), "says 'convention: standard', but"),
-        (("--dh", "good.csv", "--out", "x.urdf"), "ends in .yaml"),
         (("--dh", "good.csv", "--out", "taken.yaml"), "taken.urdf: was not written by this program"),
         (("--dh", "good.csv", "--target", "hand", "--out", "x.yaml"), "no link 'hand'"),
     ],
@@ -247,8 +244,3 @@ def test_joints_of_nearly_parallel_axes_stand_inside_the_robot(tmp_path: Path) -
     q = np.random.default_rng(3).uniform(-3, 3, (40, 6))
     expected = np.array([textbook("standard", rows, "", row) for row in q])
     assert np.allclose(flange_poses(robot, q), expected, rtol=0, atol=1e-11)  # 278 m have roundings of 6e-14 m
-
-
-def test_a_missing_table_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        read_dh(tmp_path / "nowhere.csv")

@@ -66,26 +66,6 @@ def test_the_description_means_the_same_as_the_plain_urdf(tmp_path, init):
     assert np.array_equal(described.positions(q), plain.positions(q))
 
 
-def test_it_can_be_used_at_once_to_simulate_fit_and_predict(tmp_path, run_calib):
-    (tmp_path / "arm.urdf").write_text(ARM_URDF)
-    q = np.random.default_rng(31).uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (25, 3))
-    rows = "\n".join(f"{turn},{slide},{wrist}" for turn, slide, wrist in q.tolist())
-    (tmp_path / "q.csv").write_text(f"turn,slide,wrist\n{rows}\n")
-    (tmp_path / "truth.csv").write_text("parameter,value,unit\nslide.x,252,mm\nwrist.rx,0.2,deg\n")
-    for command in (
-        "init arm.urdf --out arm.yaml",
-        "simulate arm.yaml q.csv --parameters truth.csv --sigma-mm 0.02 --seed 3 --out measured.csv",
-        "fit arm.yaml measured.csv --sigma-mm 0.02 --out result",
-        "predict arm.yaml q.csv --result result --out predicted.csv",
-    ):
-        run = run_calib(*command.split(), cwd=tmp_path)
-        assert run.code == 0, (command, run.err)
-    robot = calib.load(tmp_path / "arm.yaml")
-    measured = calib.read_measurements(tmp_path / "measured.csv", robot).points(robot)
-    predicted = calib.read_measurements(tmp_path / "predicted.csv", robot).points(robot)
-    assert np.sqrt(np.mean((predicted - measured) ** 2)) < 25e-6  # the noise, 20 um, and what a short fit adds
-
-
 @pytest.mark.parametrize("odd", ODD_NAMES)
 def test_odd_names_are_quoted(tmp_path, init, odd):
     init(urdf=chain_urdf([odd, "second"], ["root " + odd, "middle", odd + " end"]))
@@ -187,10 +167,6 @@ def test_mistakes_are_one_line_and_nothing_is_written(tmp_path, run_calib, argum
     assert run.err.startswith(f"calib: {message}")
     assert {path.name for path in tmp_path.iterdir()} == {"arm.urdf", "old.yaml"}
     assert (tmp_path / "old.yaml").read_text() == "edited by hand"
-
-
-def test_quiet_says_nothing(init):
-    assert init("--quiet").out == ""
 
 
 @pytest.mark.parametrize(

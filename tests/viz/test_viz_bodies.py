@@ -5,15 +5,10 @@ import pytest
 
 from medrue.workspace import target_workspace
 from tests.urdf_trees import plain
-from tests.viz.viz_examples import exaggerated, medrue_robots
+from tests.viz.viz_examples import exaggerated
 from viz.bodies import bodies_of, posed_robot
 
 LOOPS = (("E1_B", "E1_D"), ("E2_B", "E2_D"), ("G2_E", "G2_slide"))
-
-
-@pytest.fixture(scope="module")
-def robots():
-    return medrue_robots()
 
 
 @pytest.fixture(scope="module")

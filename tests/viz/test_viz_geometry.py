@@ -67,30 +67,31 @@ def test_a_mesh_far_outside_the_robot_s_folder_is_not_read(tmp_path):
     assert [shape.kind for shape in shapes] == ["mesh"]
 
 
-def test_a_missing_mesh_is_announced_and_drawn_with_rods(tmp_path):
-    shapes, notes = read_shapes(robot(tmp_path, visual('<box size="1 1 1"/>'), visual('<mesh filename="lost.stl"/>')))
-    assert len(notes) == 1
-    assert "link 'upper'" in notes[0]
-    assert "lost.stl" in notes[0]
-    rods = [shape for shape in shapes if shape.body == "upper"]
-    assert rods
-    rod = next(shape for shape in rods if shape.name == "upper/body")
+def test_missing_meshes_share_one_note_and_are_drawn_with_rods(tmp_path):
+    lost, gone = (visual(f'<mesh filename="{name}.stl"/>') for name in ("lost", "gone"))
+    shapes, (note,) = read_shapes(robot(tmp_path, lost, gone))
+    assert "link 'root': mesh 'lost.stl' is missing" in note
+    assert "1 more link: upper" in note
+    rod = next(shape for shape in shapes if shape.name == "upper/body")
     ends = rod.T_body_shape @ np.array([[0, 0, -0.2, 1], [0, 0, 0.2, 1]]).T
     np.testing.assert_allclose(ends[:3].T, [[0, 0, 0], [0.4, 0, 0]], atol=1e-12)
+    assert {shape.body for shape in shapes} == {"root", "upper"}
 
 
-@pytest.mark.parametrize("content", [b"", b"solid nothing", b"\x00" * 90])
-def test_a_broken_mesh_is_announced_and_drawn_with_rods(tmp_path, content):
+@pytest.mark.parametrize(
+    ("geometry", "content", "words"),
+    [
+        ('<mesh filename="broken.stl"/>', b"", ""),
+        ('<mesh filename="broken.stl"/>', b"solid nothing", ""),
+        ('<mesh filename="broken.stl"/>', b"\x00" * 90, ""),
+        ('<capsule radius="1" length="2"/>', b"", "capsule"),
+    ],
+)
+def test_a_shape_that_cannot_be_read_is_announced_and_drawn_with_rods(tmp_path, geometry, content, words):
     (tmp_path / "broken.stl").write_bytes(content)
-    shapes, notes = read_shapes(robot(tmp_path, "", visual('<mesh filename="broken.stl"/>')))
-    assert len(notes) == 1
+    shapes, (note,) = read_shapes(robot(tmp_path, "", visual(geometry)))
+    assert words in note
     assert any(shape.body == "upper" for shape in shapes)
-
-
-def test_a_shape_that_the_reader_does_not_know_is_announced(tmp_path):
-    shapes, notes = read_shapes(robot(tmp_path, visual('<capsule radius="1" length="2"/>')))
-    assert "capsule" in notes[0]
-    assert shapes
 
 
 def test_a_urdf_without_shapes_is_drawn_with_rods(tmp_path):
@@ -106,15 +107,6 @@ def test_collision_shapes_are_drawn_where_there_are_no_visuals(tmp_path):
     assert notes == ()
     shapes, _ = read_shapes(robot(tmp_path, visual('<sphere radius="1"/>'), collision))
     assert "box" not in {shape.kind for shape in shapes}
-
-
-def test_missing_meshes_share_one_note(tmp_path):
-    lost, gone = (visual(f'<mesh filename="{name}.stl"/>') for name in ("lost", "gone"))
-    shapes, notes = read_shapes(robot(tmp_path, lost, gone))
-    assert len(notes) == 1
-    assert "lost.stl" in notes[0]
-    assert "1 more link: upper" in notes[0]
-    assert {shape.body for shape in shapes} == {"root", "upper"}
 
 
 def ends_in_space(robot, shapes, names):
@@ -168,28 +160,18 @@ def test_medrue_has_its_rail_carriage_five_bars_support_and_reflector():
     assert reflector.size[0] == pytest.approx(0.01905)  # 1.5 inch
 
 
-def test_corners_enclose_a_turned_shape():
+def test_corners_enclose_a_turned_shape_and_a_mesh():
     T = np.eye(4)
     T[:3, :3] = rotation_onto_z(np.array([1.0, 0.0, 0.0]))
     T[:3, 3] = [1, 2, 3]
-    corners = Shape("c", "root", "cylinder", (0.1, 2.0), T).corners()
-    np.testing.assert_allclose(corners.min(axis=0), [0, 1.9, 2.9], atol=1e-12)
-    np.testing.assert_allclose(corners.max(axis=0), [2, 2.1, 3.1], atol=1e-12)
-
-
-def test_corners_enclose_a_mesh():
     tetrahedron = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
-    corners = Shape("m", None, "mesh", vertices=tetrahedron, faces=np.array([[0, 1, 2]])).corners()
-    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[0, 0, 0], [1, 2, 3]])
-
-
-def test_the_rotation_onto_a_direction_is_a_rotation():
-    for direction in np.vstack([np.eye(3), -np.eye(3), np.random.default_rng(1).normal(size=(20, 3))]):
-        unit = direction / np.linalg.norm(direction)
-        R = rotation_onto_z(unit)
-        np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
-        np.testing.assert_allclose(R[:, 2], unit, atol=1e-14)
-        assert np.linalg.det(R) == pytest.approx(1.0)
+    mesh = Shape("m", None, "mesh", vertices=tetrahedron, faces=np.array([[0, 1, 2]]))
+    for shape, box in (
+        (Shape("c", "root", "cylinder", (0.1, 2.0), T), [[0, 1.9, 2.9], [2, 2.1, 3.1]]),
+        (mesh, [[0, 0, 0], [1, 2, 3]]),
+    ):
+        corners = shape.corners()
+        np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], box, atol=1e-12)
 
 
 def test_thinning_keeps_the_outline_and_the_limit():

@@ -9,17 +9,19 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.core.data.in_memory import as_poses, measurements
-from calib.core.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Part, Place, Readings
+from calib.core.instruments.kind import InstrumentSection, Part, Place, Readings
 from calib.core.instruments.kinds import KINDS
 from calib.core.instruments.noise import Noise, PartNoise
+from calib.core.instruments.relation import Relation
 from calib.core.rows.observed import predict_readings
 from tests.six_axis_arm import FREE, joints, write_six_axis
-from tests.viz.viz_examples import saved_scene, undrawn, words_of
+from tests.viz.viz_examples import assert_saved_alike, undrawn, words_of
 from viz.error_charts import error_charts
 from viz.inputs import gather
 from viz.instrument_shapes import instrument_shapes
-from viz.pose_sources import from_fit, from_measurements
-from viz.reading_errors import reading_errors_of_measurements, smallest_motion
+from viz.pose_sources import from_fit, measured_set
+from viz.poses import PredictingRobot, average_poses
+from viz.reading_errors import reading_errors_of_set, smallest_motion
 from viz.scene import build_scene, scene_of_fit
 from viz.scene_data import scene_data
 
@@ -54,9 +56,7 @@ def test_a_target_that_was_not_seen_has_no_row(tmp_path):
     assert len(table) == 70
     np.testing.assert_allclose(table.measured[2], positions[1, 1])
     np.testing.assert_allclose(table.after[2], fit.robot.positions(q[:2])[1, 1], atol=1e-10)
-    saved = saved_scene(fit, tmp_path).poses
-    assert (saved.labels, saved.targets) == (table.labels, table.targets)
-    np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
+    assert_saved_alike(fit, tmp_path)
     assert undrawn(fit).count("<figure") == 10
 
 
@@ -74,10 +74,7 @@ def test_repeats_of_a_pose_are_one_row_with_the_mean_of_their_readings(tmp_path)
     np.testing.assert_allclose(table.measured[2], positions[[3, 5], 0].mean(axis=0))
     np.testing.assert_allclose(table.measured[3], positions[3:6, 1].mean(axis=0))
     np.testing.assert_allclose(table.sigma, fit.sigma / np.sqrt(table.readings))
-    saved = saved_scene(fit, tmp_path).poses
-    for name in ("measured", "before", "after", "sigma", "spread"):
-        np.testing.assert_allclose(getattr(saved, name), getattr(table, name), rtol=1e-6, atol=1e-12)
-    assert (saved.readings.tolist(), saved.place.tolist()) == (table.readings.tolist(), table.place.tolist())
+    assert_saved_alike(fit, tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +90,7 @@ def test_poses_are_shown_by_their_positions(pose_fit, tmp_path):
     np.testing.assert_allclose(table.measured[:40], values[:, :3])
     np.testing.assert_allclose(table.error("after")[:40], pose_fit.identification.after["ball"][:, :3], atol=1e-15)
     np.testing.assert_allclose(table.sigma, pose_fit.sigma)
-    saved = saved_scene(pose_fit, tmp_path).poses
-    np.testing.assert_allclose(saved.measured, table.measured, atol=1e-12)
-    np.testing.assert_allclose(saved.error("after"), table.error("after"), atol=1e-12)
-    np.testing.assert_allclose(saved.sigma, table.sigma)
+    assert_saved_alike(pose_fit, tmp_path)
 
 
 def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
@@ -153,20 +147,14 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     assert [chart.name for chart in error_charts(fit, scene)] == [
         f"distance-{name}" for name in ("errors", "order", "planes", "by-joint")
     ]
-    saved = saved_scene(fit, tmp_path)
-    for name in ("anchors", "before", "after", "residuals_before", "residuals_after"):
-        np.testing.assert_allclose(getattr(saved.readings[0], name), getattr(shown_errors, name), rtol=1e-5, atol=1e-9)
-    assert (saved.readings[0].labels, saved.readings[0].targets) == (shown_errors.labels, shown_errors.targets)
-    np.testing.assert_allclose(saved.poses.after, table.after, atol=1e-9)
-    np.testing.assert_allclose(saved.poses.before, table.before, atol=1e-9)
+    assert_saved_alike(fit, tmp_path)
     off = fit.identification.tables()["ball"]["distance"]
-    for shown in (scene, saved):
-        (other,) = shown.others
-        assert (other["of"], other["part"], other["unit"]) == ("ball", "distance", "mm")
-        (errors,) = other["sets"]
-        assert errors["group"] == "identification"
-        for state in ("before", "after"):
-            np.testing.assert_allclose(errors[state], [off[state]["rms"], off[state]["max"]], rtol=1e-9)
+    (other,) = scene.others
+    assert (other["of"], other["part"], other["unit"]) == ("ball", "distance", "mm")
+    (errors,) = other["sets"]
+    assert errors["group"] == "identification"
+    for state in ("before", "after"):
+        np.testing.assert_allclose(errors[state], [off[state]["rms"], off[state]["max"]], rtol=1e-9)
     assert content["others"][0]["sets"] == scene.others[0]["sets"]
     alone = gather(robot, None, data).scene
     assert alone.states == ("before",)
@@ -180,11 +168,10 @@ def test_readings_of_several_instruments_have_one_headline_and_the_report_draws_
     robot = arm(tmp_path, f"instruments: {{{', '.join(wires)}}}\n")
     fit = calib.fit(robot, calib.simulate(bent(robot), joints(60), None, np.random.default_rng(4)))
     after = 1e3 * np.abs(np.concatenate([fit.identification.after[name] for name in ends]))
-    for scene in (scene_of_fit(fit), saved_scene(fit, tmp_path)):
-        headline, *each = scene_data(scene)["others"]
-        assert (headline["of"], headline["part"], headline["several"]) == ("3 instruments", "distance", True)
-        assert headline["sets"][0]["after"] == pytest.approx([np.sqrt(np.mean(after**2)), after.max()], rel=1e-9)
-        assert [item["of"] for item in each] == list(ends)
+    headline, *each = scene_data(assert_saved_alike(fit, tmp_path))["others"]
+    assert (headline["of"], headline["part"], headline["several"]) == ("3 instruments", "distance", True)
+    assert headline["sets"][0]["after"] == pytest.approx([np.sqrt(np.mean(after**2)), after.max()], rel=1e-9)
+    assert [item["of"] for item in each] == list(ends)
 
 
 def test_poses_at_which_nothing_was_read_are_not_counted_and_have_no_error(tmp_path):
@@ -219,7 +206,7 @@ def test_a_tracker_can_validate_what_distances_identified(tmp_path):
     assert "Position error (RMS) before and after calibration, 20 poses (validation)" in shown
     assert "Distance error [mm] poses" in shown
     assert "noise of one reading 0.0" in shown
-    np.testing.assert_allclose(saved_scene(fit, tmp_path).poses.after, table.after, atol=1e-9)
+    assert_saved_alike(fit, tmp_path)
 
 
 def test_points_of_a_later_setup_are_shown_in_the_frame_of_the_first(tmp_path):
@@ -235,9 +222,7 @@ def test_points_of_a_later_setup_are_shown_in_the_frame_of_the_first(tmp_path):
     first, later = (np.array([target == name for target in table.targets]) for name in ("ball", "ball@second"))
     np.testing.assert_allclose(table.measured[later], table.measured[first], atol=1e-6)
     np.testing.assert_allclose(table.after[later], table.after[first], atol=1e-6)
-    saved = saved_scene(fit, tmp_path).poses
-    assert saved.targets == table.targets
-    np.testing.assert_allclose(saved.measured, table.measured, atol=1e-9)
+    assert_saved_alike(fit, tmp_path)
     shown = gather(robot, tmp_path / "out")
     np.testing.assert_allclose(shown.ghost.values, fit.placed.values, atol=1e-6)
 
@@ -271,13 +256,18 @@ def test_what_measures_and_what_it_looks_at_is_drawn_where_the_robot_has_it(tmp_
         np.testing.assert_allclose(place("wire/wire_end", pose), [1, 0, 0], atol=1e-12)
         np.testing.assert_allclose(place("ball/ball", pose), robot.positions(q)[pose, 0], atol=1e-9)
         np.testing.assert_allclose(place("second/p", pose), robot.positions(q)[pose, 1], atol=1e-9)
-    ropes = [shape for shape in scene.decorations if shape.name.startswith("wire/")]
-    for rope, end in zip(ropes, robot.positions(q)[:, 1], strict=True):
-        np.testing.assert_allclose(rope.T_body_shape[:3, 3], np.mean([end, [1, 0, 0]], axis=0), atol=1e-9)
-        assert rope.size[1] == pytest.approx(np.linalg.norm(end - [1, 0, 0]))
+    assert_wires_lead_from(scene, robot, [1, 0, 0])
     edge = drawn["eye/edge0"].T_body_shape
     along = edge[:3, 2] / edge[2, 2]  # in the camera's frame, to the first corner of the image
     np.testing.assert_allclose(800 * along[:2] + [500, 400], [0, 0], atol=1e-9)
+
+
+def assert_wires_lead_from(scene, robot, start):
+    """A wire leads from there to the second target at every pose."""
+    ropes = [shape for shape in scene.decorations if shape.name.startswith("wire/")]
+    for rope, end in zip(ropes, robot.positions(scene.poses.joints[scene.shown])[:, 1], strict=True):
+        np.testing.assert_allclose(rope.T_body_shape[:3, 3], np.mean([end, start], axis=0), atol=1e-9)
+        assert rope.size[1] == pytest.approx(np.linalg.norm(end - start))
 
 
 class RopeSection(InstrumentSection):
@@ -285,33 +275,19 @@ class RopeSection(InstrumentSection):
 
 
 @dataclasses.dataclass(frozen=True)
-class Rope(FrameInstrument):
+class Rope(Relation):
     """A distance of another package: the square of how far the target is from a hub."""
 
     section = RopeSection
     parts = (Part("square", ("square",), "length", is_distance=True),)
-    hub: Place
 
     @classmethod
     def from_section(cls, name, section):
-        return cls(name, section.target, Place(f"{name}_hub", "l0", (1.0, 0.5, 0.0)), noise=Noise((PartNoise(1e-4),)))
-
-    def places(self):
-        return (self.hub,)
-
-    def pairs(self, base):
-        return ((self.hub.name, self.target),)
-
-    def columns(self):
-        return (Column(f"{self.name}_square", "length"),)
+        hub = Place(f"{name}_hub", "l0", (1.0, 0.5, 0.0))
+        return cls(name, section.target, (hub,), noise=Noise((PartNoise(1e-4),)))
 
     def predict(self, view, unknowns, details):
         return np.sum(view.translation**2, axis=1, keepdims=True)
-
-    def compare(self, view, unknowns, readings):
-        by_twist = np.pad(2 * view.translation, ((0, 0), (0, 3)))[:, None]
-        off = self.predict(view, unknowns, readings.details) - readings.values
-        return Comparison(off, by_twist, np.zeros((len(readings), 1, 0)))
 
 
 def test_a_distance_of_another_package_has_a_wire_too(tmp_path, monkeypatch):
@@ -319,10 +295,7 @@ def test_a_distance_of_another_package_has_a_wire_too(tmp_path, monkeypatch):
     robot = arm(tmp_path, "instruments: {wire: {kind: rope, target: second}}\n")
     scene = build_scene(robot, None, from_poses(robot, joints(3)))
     assert {"wire/wire_hub", "second/ball"} <= {shape.name for shape in scene.shapes}
-    ropes = [shape for shape in scene.decorations if shape.name.startswith("wire/")]
-    for rope, end in zip(ropes, robot.positions(scene.poses.joints[scene.shown])[:, 1], strict=True):
-        np.testing.assert_allclose(rope.T_body_shape[:3, 3], np.mean([end, [1, 0.5, 0]], axis=0), atol=1e-9)
-        assert rope.size[1] == pytest.approx(np.linalg.norm(end - [1, 0.5, 0]))
+    assert_wires_lead_from(scene, robot, [1, 0.5, 0])
 
 
 def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_path):
@@ -338,7 +311,8 @@ def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_
     read = predict_readings(actual, made, looks)
     for name, k in (("probe", 3), ("table", 1)):
         read[name] = dataclasses.replace(looks[name], values=np.zeros((3, k)))
-    layers = reading_errors_of_measurements(measurements(as_poses(nominal, q), read), nominal, actual)
+    data, known = measurements(as_poses(nominal, q), read), PredictingRobot(actual, lambda *_: None)
+    layers = reading_errors_of_set(measured_set(data, nominal, known, {}), actual)
     by_name = {layer.part.name: layer for layer in layers}
     ball, second = nominal.positions(q).transpose(1, 0, 2)
     sockets = np.array([[0.5, 0.4, 0.1], [0.5, 0.2, 0.1], [0.5, 0.4, 0.1]])
@@ -375,7 +349,8 @@ def test_what_has_no_derivative_has_no_arrow():
 
 
 def from_poses(robot, q):
-    return from_measurements(calib.as_measurements(robot, q, {"wire": np.ones((len(q), 1))}), robot, None, {})
+    data = calib.as_measurements(robot, q, {"wire": np.ones((len(q), 1))})
+    return average_poses(measured_set(data, robot, None, {}).table())
 
 
 def test_a_board_is_drawn_with_a_patch_around_each_of_its_points(tmp_path):

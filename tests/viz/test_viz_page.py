@@ -18,7 +18,7 @@ from calib.core.base.errors import InputError
 from medrue.workspace import target_workspace
 from tests.photographs import camera_scenes
 from tests.signed_files import read_plain
-from tests.viz.viz_examples import LOST_MESH, medrue_robots, outside_addresses, pose_table
+from tests.viz.viz_examples import LOST_MESH, medrue_table, outside_addresses
 from viz import poses
 from viz.answer_page import _image_charts
 from viz.drawing import draw
@@ -36,15 +36,11 @@ def scene():
 
 
 def medrue_scene():
-    nominal, calibrated = medrue_robots()
     q = target_workspace().q[::40]
     n = len(q)
-    before, after = (robot.positions(q)[:, 0] for robot in (nominal, calibrated))
-    measured = after + np.random.default_rng(3).normal(0, 4e-5, after.shape)
     groups = ("identification",) * 5 + ("validation",) * (n - 5)
     known = {"spread": np.full((n, 3), 2e-5), "group": groups, "outlier": np.arange(n) == 2}
-    table = pose_table(q, measured, before, after, labels=(HOSTILE, *map(str, range(1, n))), **known)
-    return build_scene(nominal, calibrated, table)
+    return build_scene(*medrue_table(q, labels=(HOSTILE, *map(str, range(1, n))), **known))
 
 
 def scene_of(page):
@@ -234,8 +230,7 @@ def test_many_points_are_drawn_smaller():
 @pytest.mark.parametrize(("names", "places"), [(("0", "7", "15"), [0, 7, 15]), (("a", "b", "15"), [1, 2, 3])])
 def test_images_are_drawn_at_their_numbers_and_others_in_order(names, places):
     scene = dataclasses.replace(camera_scenes.scene(3), names=names)
-    pixels, rms = np.zeros((len(scene.pixels), 2)), lambda _: np.ones(3)
-    own = {"scene": scene, "pixels": pixels, "board": pixels, "left_out": SimpleNamespace(pixels=pixels)}
-    result = SimpleNamespace(**own, rms_by_image=rms)
+    pixels = np.zeros((len(scene.pixels), 2))
+    result = SimpleNamespace(scene=scene, pixels=pixels, board=pixels, left_out=SimpleNamespace(pixels=pixels))
     by_image, *_ = _image_charts(result).by_place["images"]
     assert by_image.panels[0]["layers"][0]["x"] == places

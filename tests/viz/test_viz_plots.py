@@ -30,7 +30,7 @@ def drawn(draw, *arguments):
 
 FIGURES = (
     (draw_histogram, (table(),)),
-    (draw_course, (table(), np.ones(60, dtype=bool))),
+    (draw_course, (table(),)),
     (draw_residuals, (table(), JOINTS[1], 1)),
     (draw_normal, (table(),)),
 )

@@ -4,20 +4,9 @@ import numpy as np
 import pytest
 
 import calib
-from tests.viz.viz_examples import measurements, medrue_fit, medrue_robot, pose_table, saved_scene, spoiled, spoiled_fit
-from viz.inputs import gather
-from viz.pose_sources import from_fit, from_measurements
-from viz.poses import empty
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return medrue_robot()
-
-
-@pytest.fixture(scope="module")
-def fit():
-    return medrue_fit()
+from tests.small_robots import ARM_YAML, write_arm
+from tests.viz.viz_examples import assert_saved_alike, measurements, pose_table, spoiled_fit
+from viz.pose_sources import from_fit, measured_set
 
 
 def small(**changes):
@@ -57,14 +46,13 @@ def test_a_wrong_reading_is_marked_where_it_is():
 
 def test_outliers_that_were_left_out_stay_in_the_table_also_of_a_folder(tmp_path):
     fit = spoiled_fit(exclude_outliers=True)
-    own, saved = gather(fit.nominal, fit).scene, saved_scene(fit, tmp_path)
-    assert own.notes == saved.notes == ()
-    np.testing.assert_allclose(saved.poses.error("after"), own.poses.error("after"), rtol=0, atol=1e-12)
-    for table in (own.poses, saved.poses):
-        assert table.group.count("identification") == 83
-        row = table.group.index("left out")
-        assert (row, table.outlier[row], table.labels[row]) == (83, True, "50")
-        assert table.error("after")[row, 2] == pytest.approx(-1e-3, abs=2e-4)  # noise and uncertainty of the prediction
+    saved = assert_saved_alike(fit, tmp_path)
+    assert saved.notes == ()
+    table = saved.poses
+    assert table.group.count("identification") == 83
+    row = table.group.index("left out")
+    assert (row, table.outlier[row], table.labels[row]) == (83, True, "50")
+    assert table.error("after")[row, 2] == pytest.approx(-1e-3, abs=2e-4)  # noise and uncertainty of the prediction
 
 
 def test_residuals_over_an_unknown_sigma_are_unknown():
@@ -72,36 +60,21 @@ def test_residuals_over_an_unknown_sigma_are_unknown():
     np.testing.assert_allclose(small().normalised_residuals(), 1.0)
 
 
-def test_a_result_folder_gives_the_same_table(tmp_path):
-    wrong = spoiled(measurements(np.arange(0, 420, 5)))
-    fit = calib.fit(medrue_robot(), wrong, validation=measurements(np.arange(3, 420, 9), seed=2))
-    saved, table = saved_scene(fit, tmp_path).poses, from_fit(fit)
-    assert (saved.group, saved.labels) == (table.group, table.labels)
-    assert saved.outlier.tolist() == table.outlier.tolist()
-    assert saved.outlier.sum() >= 1
-    for name in ("joints", "measured", "before", "after", "sigma", "spread"):
-        np.testing.assert_allclose(getattr(saved, name), getattr(table, name), rtol=1e-6, atol=1e-12)
-
-
-def test_measurements_without_a_calibrated_robot_have_no_error_after(robot):
+def test_measurements_without_a_calibrated_robot_have_no_error_after(medrue):
     data = measurements(np.arange(4))
-    table = from_measurements(data, robot, None, {})
+    table = measured_set(data, medrue, None, {}).table()
     assert np.isnan(table.after).all()
-    np.testing.assert_allclose(table.before, robot.positions(data.joints)[:, 0])
+    np.testing.assert_allclose(table.before, medrue.positions(data.joints)[:, 0])
     assert set(table.group) == {"measured"}
 
 
-def test_tables_are_read_only_copies():
-    measured = np.zeros((4, 3))
-    table = small(measured=measured)
-    measured[0] = 1.0
-    assert np.all(table.measured == 0)
-    with pytest.raises(ValueError, match="read-only"):
-        table.measured[0] = 1.0
-
-
-def test_an_empty_table_has_the_robots_joints(robot):
-    assert empty(robot).joints.shape == (0, 6)
+def test_measurements_are_compared_with_what_is_predicted_under_their_conditions(tmp_path):
+    robot = calib.load(write_arm(tmp_path, f"{ARM_YAML}  - {{joint: turn, term: temperature, sigma: 1 mrad}}\n"))
+    warm, names = robot.with_parameters({"turn.temperature": 1e-3}), tuple("abcde")
+    q = np.random.default_rng(0).uniform([-1, 0, -1], [1, 0.5, 1], (5, 3))
+    poses = calib.Poses(q, names, names, "memory", (), context={"temperature": np.full(5, 30.0)})
+    data = calib.simulate(warm, poses, 0.0, np.random.default_rng(0))
+    np.testing.assert_allclose(measured_set(data, warm, None, {}).table().error("before"), 0, atol=1e-12)
 
 
 def test_a_mean_of_readings_is_surer_than_one_reading():
@@ -110,10 +83,10 @@ def test_a_mean_of_readings_is_surer_than_one_reading():
     np.testing.assert_allclose(table.normalised_residuals()[:, 0], [1.0, 1.0, 0.5, 0.5])
 
 
-def test_poses_held_out_of_one_file_keep_their_places_in_it(robot):
+def test_poses_held_out_of_one_file_keep_their_places_in_it(medrue):
     data = measurements(np.arange(0, 420, 4))
     kept, held = (np.flatnonzero(np.arange(105) % 5 != 2), np.flatnonzero(np.arange(105) % 5 == 2))
-    table = from_fit(calib.fit(robot, data.subset(kept), validation=data.subset(held)))
+    table = from_fit(calib.fit(medrue, data.subset(kept), validation=data.subset(held)))
     assert set(table.series) == {"memory"}
     assert table.place.tolist() == [*kept, *held]
 

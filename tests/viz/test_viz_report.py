@@ -56,11 +56,6 @@ PERHAPS_NONE = "this joint may have no error"
 
 
 @pytest.fixture(scope="module")
-def fit():
-    return medrue_fit()
-
-
-@pytest.fixture(scope="module")
 def html(fit):
     return report_page(fit, command=COMMAND, created=NOON).html
 

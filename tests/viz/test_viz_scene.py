@@ -9,23 +9,21 @@ import calib
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
 from tests.urdf_trees import plain, urdf_of
-from tests.viz.viz_examples import medrue_robots, pose_table
-from viz.decorations import decorations_of
+from tests.viz.viz_examples import medrue_table
 from viz.judgement import judgement_of_result
 from viz.scene import build_scene, nice_factor
 from viz.scene_data import colours
+from viz.surroundings import decorations_of
 
 
 @pytest.fixture(scope="module")
-def robots():
-    return medrue_robots()
+def table():
+    return medrue_table(target_workspace().q[::30], group=("measured",) * 14)[2]
 
 
-def table(robots, measured=True):
-    q = target_workspace().q[::30]
-    before, after = (robot.positions(q)[:, 0] for robot in robots)
-    points = after + 5e-5 if measured else np.full_like(after, np.nan)
-    return pose_table(q, points, before, after, group=("measured",) * len(q))
+@pytest.fixture(scope="module")
+def scene(robots, table):
+    return build_scene(*robots, table)
 
 
 def test_a_robot_alone_stands_at_home(robots):
@@ -37,21 +35,19 @@ def test_a_robot_alone_stands_at_home(robots):
     np.testing.assert_allclose(drawn, robots[0].forward(robots[0].home, "tool"), atol=1e-12)
 
 
-def test_states_are_those_whose_errors_are_known(robots):
-    assert build_scene(*robots, table(robots)).states == ("before", "after")
-    assert build_scene(*robots, table(robots, measured=False)).states == ()
-    nominal_only = dataclasses.replace(table(robots), after=np.full((14, 3), np.nan))
-    assert build_scene(robots[0], None, nominal_only).states == ("before",)
+def test_states_are_those_whose_errors_are_known(robots, table, scene):
+    unknown = np.full((14, 3), np.nan)
+    assert scene.states == ("before", "after")
+    assert build_scene(*robots, dataclasses.replace(table, measured=unknown)).states == ()
+    assert build_scene(robots[0], None, dataclasses.replace(table, after=unknown)).states == ("before",)
 
 
-def test_errors_after_start_with_a_larger_exaggeration(robots):
-    scene = build_scene(*robots, table(robots))
+def test_errors_after_start_with_a_larger_exaggeration(scene):
     (factors,) = scene.vector_factors
     assert 1 <= factors["before"] < factors["after"] <= 1000
 
 
-def test_the_ghost_shows_the_nominal_robot(robots):
-    scene = build_scene(*robots, table(robots))
+def test_the_ghost_shows_the_nominal_robot(robots, scene):
     q = scene.poses.joints[4]
     drawn = scene.bodies.poses(scene.ghost, 4)[scene.bodies.names.index("tool")]
     np.testing.assert_allclose(drawn, robots[0].forward(q, "tool"), atol=1e-12)
@@ -67,8 +63,7 @@ def test_medrues_leg_is_a_half_cylinder_through_its_poses():
     assert decorations_of("another robot") == ()
 
 
-def test_the_first_camera_looks_at_the_points_from_outside_and_above(robots):
-    scene = build_scene(*robots, table(robots))
+def test_the_first_camera_looks_at_the_points_from_outside_and_above(scene):
     view = scene.view
     assert np.linalg.norm(view.direction) == pytest.approx(1.0)
     assert 0.1 < view.direction[2] < 0.7
@@ -76,8 +71,7 @@ def test_the_first_camera_looks_at_the_points_from_outside_and_above(robots):
     assert (view.upright @ from_robot)[:2] @ view.direction[:2] > 0
 
 
-def test_everything_lies_inside_the_box_and_the_outline(robots):
-    scene = build_scene(*robots, table(robots))
+def test_everything_lies_inside_the_box_and_the_outline(scene):
     points = np.vstack([scene.poses.after, *(shape.corners() for shape in scene.decorations)]) @ scene.view.upright.T
     assert np.all(points >= scene.view.low - 1e-12)
     assert np.all(points <= scene.view.high + 1e-12)

@@ -60,6 +60,22 @@ def saved_scene(fit, folder):
     return gather(fit.nominal, folder / "out").scene
 
 
+def assert_saved_alike(fit, folder):
+    """Compare what the viewer shows of a fit and of its result folder, whose scene is returned."""
+    own, saved = gather(fit.nominal, fit).scene, saved_scene(fit, folder)
+    for mine, theirs in zip((own.poses, *own.readings), (saved.poses, *saved.readings), strict=True):
+        for field in dataclasses.fields(mine):
+            values, again = getattr(mine, field.name), getattr(theirs, field.name)
+            if isinstance(values, np.ndarray):
+                np.testing.assert_allclose(again, values, rtol=1e-5, atol=1e-9, err_msg=field.name)
+            else:
+                assert again == values, field.name
+    sizes = [[item[state] for other in scene.others for item in other["sets"] for state in ("before", "after")]
+             for scene in (own, saved)]  # fmt: skip
+    np.testing.assert_allclose(*sizes, rtol=1e-7)
+    return saved
+
+
 LOST_MESH = """<robot name="arm">
  <link name="root"><visual><geometry><mesh filename="lost.stl"/></geometry></visual></link><link name="tip"/>
  <joint name="a" type="revolute"><parent link="root"/><child link="tip"/><origin xyz="1 0 0"/><axis xyz="0 1 0"/>
@@ -126,16 +142,20 @@ def pose_table(q, measured, before, after, **changes):
     return PoseTable(q, measured, before, after, **(columns | changes))
 
 
+def medrue_table(q, **changes):
+    """MedRUE's nominal and calibrated robots and a table of its measured poses q."""
+    robots = medrue_robots()
+    before, after = (robot.positions(q)[:, 0] for robot in robots)
+    measured = after + np.random.default_rng(3).normal(0, 4e-5, after.shape)
+    return *robots, pose_table(q, measured, before, after, **changes)
+
+
 def many_poses(n):
     """MedRUE's nominal and calibrated robots and a pose table of `n` poses around the target workspace."""
-    nominal, calibrated = medrue_robots()
     generator = np.random.default_rng(0)
     q = np.resize(target_workspace().q, (n, 6)) + generator.normal(0, 2e-3, (n, 6))
-    before, after = (robot.positions(q)[:, 0] for robot in (nominal, calibrated))
     groups = tuple(generator.choice(["identification", "validation"], n).tolist())
-    measured = after + generator.normal(0, 4e-5, (n, 3))
-    table = pose_table(q, measured, before, after, group=groups, outlier=generator.random(n) < 0.002)
-    return nominal, calibrated, table
+    return medrue_table(q, group=groups, outlier=generator.random(n) < 0.002)
 
 
 def spoiled(data, visit=10, by=1e-3):

@@ -29,7 +29,7 @@ import medrue
 import medrue.cli
 import medrue.reports
 import medrue.study
-from medrue.progress import SilentProgress
+from medrue.draws import Work
 from tests.core.base.interrupted_writing import OF_WRITING, at_line, child, killed, put, state, tree, verdict
 from tests.project import EXAMPLES
 
@@ -146,10 +146,10 @@ def commands(runs: int, seed: int) -> dict[str, Counter[str]]:
         words = f"fit {_ROBOT} {_DATA} --seed {variant} --validate 0.3 --out r{variant}"
         assert child(lambda words=words: run("calib", words)) == 0
     robot = calib.load(medrue.robot_file())
-    studies = [medrue.study.run_study(robot, medrue.study.QUICK, seed, None, SilentProgress()) for seed in (0, 1)]
+    studies = [medrue.study.run_study(robot, medrue.study.QUICK, seed, Work()) for seed in (0, 1)]
     reports = [medrue.reports.study_report(study) for study in studies]
     assert all(report.files() for report in reports)  # and keeps its figures
-    medrue.study.run_study = lambda robot, size, seed, executor, progress: seed
+    medrue.study.run_study = lambda robot, size, seed, work: seed
     medrue.reports.study_report = lambda seed: reports[seed]
     chance = random.Random(seed)
     counts = {}

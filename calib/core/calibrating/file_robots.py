@@ -87,10 +87,7 @@ def _refit(
 ) -> Fit:
     """Fit another robot to the measurements of a fit, with the same options.
 
-    Args:
-        workers: Workers for the fits of other starts and of folds.
-        signs: Sign of each joint value, (n_actuated,).
-        ranks: Whether ranks of held parameters are used.
+    `signs` are those of the joint values, (n_actuated,); `ranks` says whether ranks of held parameters are used.
     """
     data, validation = fit.identification.data, None if fit.validation is None else fit.validation.data
     nearby = replace(WarmStart.from_fit(fit), free_alone=not ranks)
@@ -152,11 +149,9 @@ class FitFiles(Mapping[Holds, FileRobot]):
             for p in start.parameters
             if p.name.rpartition(".")[0] in behind and not p.placement and p.name not in start.description.held
         }
-        return (
-            file_robot(self._refit(start.with_parameters(nominal).fix(*nominal)))
-            if nominal
-            else self.get(Holds.ORIGINS)
-        )
+        if not nominal:
+            return self.get(Holds.ORIGINS)
+        return file_robot(self._refit(start.with_parameters(nominal).fix(*nominal)))
 
     def _zeros(self) -> FileRobot:
         nominal, signs = without_terms(self._fit.nominal, Holds.ZEROS).with_nominal_values(), self._signs()
@@ -202,10 +197,8 @@ def why_withheld(reached: Accuracy) -> str:
     """Return why a robot of this accuracy must not replace the nominal one; empty if it may."""
     if reached.rms <= _SAME * reached.before + COMPUTED:
         return ""
-    return (
-        f"it is worse than the nominal robot: {reached.in_unit(reached.rms)} RMS, and"
-        f" {reached.in_unit(reached.before)} for the nominal one ({reached.pose_words})"
-    )
+    rms, before = reached.in_unit(reached.rms), reached.in_unit(reached.before)
+    return f"it is worse than the nominal robot: {rms} RMS, and {before} for the nominal one ({reached.pose_words})"
 
 
 def behind_last_axis(robot: Robot) -> frozenset[str]:

@@ -160,22 +160,10 @@ def shared_options(
                 raise
             except BrokenPipeError:
                 raise  # the reader, `head` for instance, has seen enough: click ends in silence
-            except CalibrationError as error:
-                if debug:
-                    raise
-                raise OneLineError(str(error), error.exit_code) from None
-            except OSError as error:
-                if debug:
-                    raise
-                what = error.filename or "output"
-                raise OneLineError(f"{what}: {(error.strerror or str(error)).lower()}", InputError.exit_code) from None
             except Exception as error:
                 if debug:
                     raise
-                raise OneLineError(
-                    f"unexpected {type(error).__name__}: {error}; this is a defect of the program; --debug shows where",
-                    1,
-                ) from None
+                raise _in_one_line(error) from None
 
         run = click.option("-f", "--force", is_flag=True, help=forced)(run)
         run = click.option("--debug", is_flag=True, help="Show the traceback of an error.")(run)
@@ -194,6 +182,16 @@ def shared_options(
     return decorate
 
 
+def _in_one_line(error: Exception) -> OneLineError:
+    if isinstance(error, CalibrationError):
+        return OneLineError(str(error), error.exit_code)
+    if isinstance(error, OSError):
+        reason = (error.strerror or str(error)).lower()
+        return OneLineError(f"{error.filename or 'output'}: {reason}", InputError.exit_code)
+    words = f"unexpected {type(error).__name__}: {error}; this is a defect of the program; --debug shows where"
+    return OneLineError(words, 1)
+
+
 class _ToStandardError(logging.Handler):
     """Prints warnings of the library as notes, one line each."""
 
@@ -203,7 +201,6 @@ class _ToStandardError(logging.Handler):
 
 
 def _tell_warnings(quiet: bool) -> None:
-    """Print warnings of the library to standard error, unless `quiet`."""
     log = logging.getLogger("calib")
     log.handlers = [logging.NullHandler() if quiet else _ToStandardError(logging.WARNING)]
     log.propagate = False

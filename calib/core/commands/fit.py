@@ -26,8 +26,7 @@ from calib.core.commands.next_steps import advice_after_fit, options_as_typed
 from calib.core.data.measurement_files import read_measurements
 from calib.core.data.measurements import Measurements
 from calib.core.judging.rules_model import why_no_origins
-from calib.core.results.result_content import to_dict
-from calib.core.results.results import RESULT_FILES
+from calib.core.results.results import RESULT_FILES, to_dict
 from calib.core.robots.robot import Robot
 
 _FOLDER = "out/robot"  # in the proposed next step, if the user named no folder
@@ -181,13 +180,11 @@ def command(
 
 
 def _result_lines(folder: Path) -> str:
-    """Place of the result, and the names of its most important files."""
     names = ("report.html", "viewer.html", "calibrated.urdf", "result.json")
     return f"Written to {folder}: {', '.join(name for name in names if (folder / name).exists())} and others"
 
 
 def _folds(text: str) -> int | Literal["setups"]:
-    """The number of folds, or `setups`, from a typed text."""
     if text == "setups":
         return "setups"
     try:
@@ -197,7 +194,6 @@ def _folds(text: str) -> int | Literal["setups"]:
 
 
 def _names(text: str | None) -> tuple[str, ...]:
-    """The names in a typed list."""
     return () if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
 
 

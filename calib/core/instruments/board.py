@@ -27,9 +27,8 @@ from calib.core.base.sections import PositiveLength, Section, read_yaml
 from calib.core.base.units import quantity_text
 
 BoardKind = Literal["charuco", "chessboard", "circles", "dots", "aruco", "apriltag"]
-BOARD_KINDS: tuple[BoardKind, ...] = ("charuco", "chessboard", "circles", "dots", "aruco", "apriltag")
 APRILTAG = "DICT_APRILTAG_36H11"
-_NEEDS: dict[BoardKind, tuple[str, ...]] = {
+_NEEDS: dict[str, tuple[str, ...]] = {
     "charuco": ("square", "marker", "dictionary"),
     "chessboard": ("square",),
     "circles": ("spacing",),
@@ -37,6 +36,7 @@ _NEEDS: dict[BoardKind, tuple[str, ...]] = {
     "aruco": ("marker", "gap", "dictionary"),
     "apriltag": ("marker", "gap", "dictionary"),
 }
+BOARD_KINDS = tuple(_NEEDS)
 _MOST = 100
 
 
@@ -185,27 +185,30 @@ def read_board(text: str, where: str, folder: Path | None = None) -> Board:
     path = (folder or Path()) / text
     if path.suffix.lower() in (".yaml", ".yml") or path.is_file():
         content = read_yaml(path, "a board (YAML: kind, columns, rows, sizes), or its short form")
-        inner = content.get("board") if isinstance(content, dict) else None
-        if isinstance(content, dict) and "target_type" in content:
-            return validate_board(_board_of_kalibr(content, str(path)), str(path))
-        target = content.get("target_finder", content) if isinstance(content, dict) else None
-        if isinstance(target, dict) and {"rows", "cols", "spacing"} <= set(target):
-            # ROS-Industrial's grid: its larger dot is at the bottom left, ours at the top left: a quarter turn
-            grid = {"kind": "dots", "columns": target["rows"], "rows": target["cols"], "spacing": target["spacing"]}
-            return validate_board(grid, str(path))
-        return validate_board(inner if isinstance(inner, dict) else content, str(path))
+        return validate_board(_board_of_file(content, str(path)) if isinstance(content, dict) else content, str(path))
     if not colon and kind not in BOARD_KINDS:
         raise DescriptionError(f"{where}: is neither a YAML file nor a kind of board{nearest(kind, BOARD_KINDS)}")
-    needs = next((keys for known, keys in _NEEDS.items() if known == kind), None)
-    if needs is None:
+    if kind not in _NEEDS:
         raise DescriptionError(f"{where}: unknown kind of board '{kind}'{nearest(kind, BOARD_KINDS)}")
-    counts, *values = rest.split(":")
+    needs, (counts, *values) = _NEEDS[kind], rest.split(":")
     columns, times, rows = counts.partition("x")
     optional = kind == "apriltag" and len(values) == len(needs) - 1
     if not (times and columns.isdigit() and rows.isdigit()) or not (len(values) == len(needs) or optional):
         raise DescriptionError(f"{where}: write it as {kind}:COLUMNSxROWS:{':'.join(key.upper() for key in needs)}")
     sizes = dict(zip(needs, values, strict=False))
     return validate_board({"kind": kind, "columns": int(columns), "rows": int(rows)} | sizes, where)
+
+
+def _board_of_file(content: dict[str, Any], where: str) -> Any:
+    """Content of a board from a file of ours, of Kalibr, or of ROS-Industrial."""
+    if "target_type" in content:
+        return _board_of_kalibr(content, where)
+    target = content.get("target_finder", content)
+    if isinstance(target, dict) and {"rows", "cols", "spacing"} <= set(target):
+        # ROS-Industrial's grid: its larger dot is at the bottom left, ours at the top left: a quarter turn
+        return {"kind": "dots", "columns": target["rows"], "rows": target["cols"], "spacing": target["spacing"]}
+    inner = content.get("board")
+    return inner if isinstance(inner, dict) else content
 
 
 def _board_of_kalibr(content: dict[str, Any], where: str) -> dict[str, Any]:

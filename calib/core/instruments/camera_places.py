@@ -81,7 +81,6 @@ def seen_points(sightings: Sightings, places: Places) -> FloatArray:
 
 
 def _from_views(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
-    """Guesses from poses of single views."""
     counts = np.bincount(sightings.view)
     best = np.argsort(-counts, kind="stable")[:_VIEWS]
     best = best[counts[best] >= LEAST_POINTS]

@@ -90,7 +90,11 @@ def _best_rotation(form: FloatArray, rotation: FloatArray) -> FloatArray:
 
 
 def solve_poses(
-    links: FloatArray, seen: FloatArray, now: tuple[FloatArray, FloatArray], known: tuple[bool, bool]
+    links: FloatArray,
+    seen: FloatArray,
+    now: tuple[FloatArray, FloatArray],
+    known: tuple[bool, bool],
+    unseen: float = _UNSEEN,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the poses (C, M) for which C A_i = L_i M fits best, (..., 4, 4) each [m].
 
@@ -98,6 +102,7 @@ def solve_poses(
         links, seen: L_i and A_i, (..., n, 4, 4) [m].
         now: Present C and M, (4, 4) each [m]; components that the data do not determine stay near them.
         known: Whether C is known, and whether M is.
+        unseen: Shifts with singular values below this part of the largest stay as they are.
     """
     first, second = (np.tile(pose, (*links.shape[:-3], 1, 1)) for pose in now)
     first[..., :3, :3], second[..., :3, :3] = solve_rotations(
@@ -114,7 +119,7 @@ def solve_poses(
         columns = _shifts(links[k])
         moved = np.concatenate([first[k][:3, 3], second[k][:3, 3]])
         right_side = (links[k][:, :3, 3] - seen[k][:, :3, 3] @ first[k][:3, :3].T).reshape(-1) - columns @ moved
-        moved[free] += linalg.lstsq(columns[:, free], right_side, rcond=_UNSEEN)
+        moved[free] += linalg.lstsq(columns[:, free], right_side, rcond=unseen)
         first[k][:3, 3], second[k][:3, 3] = moved[:3], moved[3:]
     return first, second
 

@@ -17,7 +17,7 @@ vertical, the tilt about this axis may take any value.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -28,7 +28,6 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.sections import ANGLE_COMPONENTS
 from calib.core.instruments.hand_eye import solve_rotations
 from calib.core.instruments.kind import (
-    Column,
     Comparison,
     FrameInstrument,
     Guess,
@@ -39,18 +38,7 @@ from calib.core.instruments.kind import (
     View,
 )
 from calib.core.instruments.noise import AngleSigma, Noise, PartNoise
-from calib.core.instruments.rotations import (
-    ORIENTATION,
-    Form,
-    other_rotations,
-    read_rotations,
-    rotation_columns,
-    rotation_errors,
-    rotation_matrices,
-    rotation_vectors,
-    turn_by,
-    write_rotations,
-)
+from calib.core.instruments.rotations import ORIENTATION, Form, RotationInstrument, rotation_matrices
 from calib.core.numerics.rigid import cross_matrices, nearest_rotation
 
 TILT = Part("tilt", ("tilt_x", "tilt_y"), "angle", largest=0.1)
@@ -84,104 +72,97 @@ class OrientationSection(InstrumentSection):
         return self
 
 
+Frames = tuple[FloatArray, FloatArray]
+"""Orientations of measurement frame and sensor in their links, (3, 3) each."""
+
+
 @dataclass(frozen=True)
-class Orientation(FrameInstrument):
-    """Orientations of one target frame: three rows, values are rotation vectors; or two tilts."""
+class Orientation(RotationInstrument):
+    """Orientations of one target frame: three rows, values are rotation vectors."""
 
     section = OrientationSection
-    gravity: bool = False
-    rotation: Form = "quaternion"
+    parts = (ORIENTATION,)
 
     @classmethod
-    def from_section(cls, name: str, section: OrientationSection) -> Orientation:
+    def from_section(cls, name: str, section: OrientationSection) -> Orientation | Inclinometer:
         """Return the instrument that an entry of a robot description means."""
-        gravity = section.axes == "gravity"
-        noise = Noise((PartNoise.from_sigma(section.sigma, 2 if gravity else 3),))
-        return cls(name, section.target or name, gravity, section.rotation, noise=noise)
-
-    @property
-    def parts(self) -> tuple[Part, ...]:
-        """Rotation errors, or tilts."""
-        return (TILT,) if self.gravity else (ORIENTATION,)
-
-    def columns(self) -> tuple[Column, ...]:
-        """Return the columns of the rotation, or `<name>_tilt_x` and `<name>_tilt_y`."""
-        return super().columns() if self.gravity else rotation_columns(self.name, self.rotation)
-
-    def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
-        """Return rotation vectors (n, 3), or tilts (n, 2) [rad]."""
-        numbers = super().values(columns)
-        return numbers if self.gravity else read_rotations(self.name, self.rotation, numbers)
-
-    def cells(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Return the columns of rotation vectors (n, 3), or of tilts (n, 2) [rad]."""
-        return super().cells(values if self.gravity else write_rotations(self.rotation, values))
-
-    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return the rotation vector of R_ab, (n, 3), or tilts, (n, 2) [rad]."""
-        return _tilts(_down(view.rotation)) if self.gravity else rotation_vectors(view.rotation)
-
-    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Return errors of orientation or tilt, and their derivatives by dw."""
-        if self.gravity:
-            down = _down(view.rotation)
-            residuals = _wrap_half_turn(_tilts(down) - readings.values)
-            by_turn: FloatArray = (
-                _tilt_derivative(down) @ view.rotation.transpose(0, 2, 1) @ cross_matrices(_DOWN[None])
-            )
-        else:
-            residuals, by_turn = rotation_errors(view.rotation, readings.values)
-        by_twist = np.zeros((len(readings), self.n_rows, 6))
-        by_twist[:, :, 3:] = by_turn
-        return Comparison(residuals, by_twist, np.zeros((len(readings), self.n_rows, 0)))
-
-    def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return orientations or tilts with errors."""
-        return _wrap_half_turn(values + change) if self.gravity else turn_by(values, change)
-
-    def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-        """Yield other readings of the rotations."""
-        if not self.gravity:
-            yield from other_rotations(self.rotation, values)
-
-    def orientations(self, values: FloatArray) -> FloatArray | None:
-        """Return R_ab, (n, 3, 3); None for an inclinometer."""
-        return None if self.gravity else rotation_matrices(values)
+        target = section.target or name
+        if section.axes == "gravity":
+            return Inclinometer(name, target, noise=Noise((PartNoise.from_sigma(section.sigma, 2),)))
+        return cls(name, target, section.rotation, noise=Noise((PartNoise.from_sigma(section.sigma, 3),)))
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return the orientations of measurement frame and sensor that fit best, pair by pair."""
-        pairs = range(len(scene.pairs))
-        used = [k for k in pairs if np.any(scene.readings.pairs == k)]
-        guesses = [guess for k in used for guess in self._guess_of_pair(scene, k)]
-        if len(used) < 2 or not guesses:
-            return tuple(guesses)
-        together: dict[str, FloatArray] = {}
-        for guess in guesses:
-            together = {**guess.places, **together}  # the first guess of a place counts
-        return (Guess(together),)
+        return _first_frames(scene, _solve_seen)
 
-    def _guess_of_pair(self, scene: Scene, number: int) -> tuple[Guess, ...]:
-        names = scene.pairs[number]
-        known = [not any(c in ANGLE_COMPONENTS for c in scene.unknown[name]) for name in names]
-        chosen = (scene.readings.pairs == number) & np.isfinite(scene.readings.values).all(axis=1)
-        if all(known) or not np.any(chosen):
-            return ()
-        first, second = (scene.places[name].copy() for name in names)
-        links, values = scene.links[chosen][:, :3, :3], scene.readings.values[chosen]
-        if not self.gravity:
-            first[:3, :3], second[:3, :3] = solve_rotations(
-                links,
-                rotation_matrices(values),
-                first[:3, :3] if known[0] else None,
-                second[:3, :3] if known[1] else None,
-            )
-            return (Guess({names[0]: first, names[1]: second}),)
-        guesses = []
-        for frame, sensor in _level(links, _directions(values), first[:3, :3], second[:3, :3], known):
-            first_guess, second_guess = first.copy(), second.copy()
-            first_guess[:3, :3], second_guess[:3, :3] = frame, sensor
-            guesses.append(Guess({names[0]: first_guess, names[1]: second_guess}))
+
+@dataclass(frozen=True)
+class Inclinometer(FrameInstrument):
+    """Tilts of one target frame against the vertical: two rows."""
+
+    section = OrientationSection
+    parts = (TILT,)
+
+    @classmethod
+    def from_section(cls, name: str, section: OrientationSection) -> Orientation | Inclinometer:
+        """Return the instrument that an entry of a robot description means."""
+        return Orientation.from_section(name, section)
+
+    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return tilts, (n, 2) [rad]."""
+        return _tilts(_down(view.rotation))
+
+    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
+        """Return errors of tilt, and their derivatives by dw."""
+        down, n = _down(view.rotation), len(readings)
+        by_twist = np.zeros((n, 2, 6))
+        by_twist[:, :, 3:] = _tilt_derivative(down) @ view.rotation.transpose(0, 2, 1) @ cross_matrices(_DOWN[None])
+        return Comparison(_wrap_half_turn(_tilts(down) - readings.values), by_twist, np.zeros((n, 2, 0)))
+
+    def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
+        """Return tilts with errors."""
+        return _wrap_half_turn(values + change)
+
+    def first_values(self, scene: Scene) -> tuple[Guess, ...]:
+        """Return the orientations of measurement frame and sensor that fit best, pair by pair."""
+        return _first_frames(scene, _level)
+
+
+Solver = Callable[[FloatArray, FloatArray, Frames, tuple[bool, bool]], list[Frames]]
+"""Frames that fit best, from rotations of links L_i (n, 3, 3), readings (n, n_rows), frames now, and whether known."""
+
+
+def _first_frames(scene: Scene, solve: Solver) -> tuple[Guess, ...]:
+    """Guesses pair by pair; a single one of all places where there are several pairs."""
+    used = np.unique(scene.readings.pairs).tolist()
+    guesses = [guess for k in used for guess in _guesses_of_pair(scene, k, solve)]
+    if len(used) < 2 or not guesses:
         return tuple(guesses)
+    together: dict[str, FloatArray] = {}
+    for guess in guesses:
+        together = {**guess.places, **together}  # the first guess of a place counts
+    return (Guess(together),)
+
+
+def _guesses_of_pair(scene: Scene, number: int, solve: Solver) -> list[Guess]:
+    names = scene.pairs[number]
+    first, second = (not any(c in ANGLE_COMPONENTS for c in scene.unknown[name]) for name in names)
+    chosen = (scene.readings.pairs == number) & np.isfinite(scene.readings.values).all(axis=1)
+    if (first and second) or not np.any(chosen):
+        return []
+    now = (scene.places[names[0]][:3, :3], scene.places[names[1]][:3, :3])
+    guesses = []
+    for frames in solve(scene.links[chosen][:, :3, :3], scene.readings.values[chosen], now, (first, second)):
+        places = {name: scene.places[name].copy() for name in names}
+        for name, frame in zip(names, frames, strict=True):
+            places[name][:3, :3] = frame
+        guesses.append(Guess(places))
+    return guesses
+
+
+def _solve_seen(links: FloatArray, values: FloatArray, now: Frames, known: tuple[bool, bool]) -> list[Frames]:
+    fixed = [frame if is_known else None for frame, is_known in zip(now, known, strict=True)]
+    return [solve_rotations(links, rotation_matrices(values), *fixed)]
 
 
 def _down(rotation: FloatArray) -> FloatArray:
@@ -215,17 +196,13 @@ def _wrap_half_turn(angles: FloatArray) -> FloatArray:
     return np.mod(angles + np.pi, 2 * np.pi) - np.pi
 
 
-def _level(
-    links: FloatArray, seen: FloatArray, frame: FloatArray, sensor: FloatArray, known: list[bool]
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Orientations of measurement frame and sensor in their links for which g_i = M^T L_i^T C (0, 0, -1) fits.
-
-    From L_i (n, 3, 3), g_i (n, 3), the present C and M (3, 3), and whether each of them is known.
-    """
+def _level(links: FloatArray, values: FloatArray, now: Frames, known: tuple[bool, bool]) -> list[Frames]:
+    """Frames C and M for which g_i = M^T L_i^T C (0, 0, -1) fits, from each start of C that is tried."""
+    frame, seen = now[0], _directions(values)
     starts = [frame @ _DOWN] if known[0] else [*np.eye(3), *-np.eye(3), frame @ _DOWN]
     solutions = []
     for start in starts:
-        down, mounted = start, sensor
+        down, mounted = start, now[1]
         for _ in range(1 if known[0] else _ROUNDS):
             if not known[1]:
                 mounted = nearest_rotation(np.einsum("kba,b,kc->ac", links, down, seen))

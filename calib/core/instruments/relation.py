@@ -33,6 +33,7 @@ from calib.core.base.arrays import FloatArray, IntArray, evenly_spread
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS, PlaceSection
 from calib.core.instruments.camera import cube_rotations
 from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Guess, Place, Readings, Scene, View, placed
+from calib.core.instruments.rotations import rotation_vectors
 
 _STEP = 1e-4  # m, rad; for unknown numbers in parts of their expected error
 _WEIGHTS = ((-2, 1 / 12), (-1, -2 / 3), (1, 2 / 3), (2, -1 / 12))
@@ -110,21 +111,18 @@ class Relation(FrameInstrument):
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Return f with derivatives by differences."""
-        n, width = len(readings), len(unknowns)
+        shape = len(readings), self.n_rows
 
-        def difference_quotient(moved: Callable[[float], FloatArray]) -> FloatArray:
-            return np.asarray(sum(weight * moved(k * _STEP) for k, weight in _WEIGHTS) / _STEP)
+        def slope(moved: Callable[[float], tuple[View, FloatArray]]) -> FloatArray:
+            steps = ((weight, moved(k * _STEP)) for k, weight in _WEIGHTS)
+            return np.asarray(sum(weight * self.misses(*at, readings) for weight, at in steps) / _STEP)
 
-        def misses_after_step(component: int, step: float) -> FloatArray:
-            return self.misses(view.after_step(component, step), unknowns, readings)
-
-        by_twist, by_unknown = np.zeros((n, self.n_rows, 6)), np.zeros((n, self.n_rows, width))
+        by_twist, by_unknown = np.zeros((*shape, 6)), np.zeros((*shape, len(unknowns)))
         for component in range(6):
-            by_twist[:, :, component] = difference_quotient(lambda step, c=component: misses_after_step(c, step))  # type: ignore[misc]
+            by_twist[:, :, component] = slope(lambda step, c=component: (view.after_step(c, step), unknowns))  # type: ignore[misc]
         for k, parameter in enumerate(self.unknowns):
-            unit = parameter.sigma_si * np.eye(width)[k]
-            change = difference_quotient(lambda step, unit=unit: self.misses(view, unknowns + step * unit, readings))  # type: ignore[misc]
-            by_unknown[:, :, k] = change / parameter.sigma_si
+            unit = parameter.sigma_si * np.eye(len(unknowns))[k]
+            by_unknown[:, :, k] = slope(lambda step, unit=unit: (view, unknowns + step * unit)) / parameter.sigma_si  # type: ignore[misc]
         by_twist[np.abs(by_twist) < _ROUNDING * np.nanmax(np.abs(by_twist), initial=0.0)] = 0.0
         return Comparison(self.misses(view, unknowns, readings), by_twist, by_unknown)
 
@@ -134,9 +132,8 @@ class Relation(FrameInstrument):
         open_ = [(name, COMPONENTS.index(part)) for name in names for part in scene.unknown[name]]
         if not len(scene.readings) or not (open_ or self.unknowns):
             return ()
-        few = evenly_spread(len(scene.readings), _FEW)
+        few, every = evenly_spread(len(scene.readings), _FEW), np.arange(len(scene.readings))
         tried = [_refine_guess(self, scene, start, open_, few, _TRIED) for start in self._starts(scene, names)]
-        every = np.arange(len(scene.readings))
         kept = [each[1] for each in sorted(tried, key=lambda each: each[0])[:_KEPT]]
         best = sorted((_refine_guess(self, scene, s, open_, every, _IMPROVED) for s in kept), key=lambda each: each[0])
         return tuple(guess for _, guess in best)
@@ -149,9 +146,8 @@ class Relation(FrameInstrument):
         for name in names:
             held = [k for k, part in enumerate(ANGLE_COMPONENTS) if part not in scene.unknown[name]]
             if len(scene.unknown[name]) >= _LOST and sigmas.get(name) is None:
-                for turn in cube_rotations()[1:]:
-                    if np.any(np.abs(scipy.spatial.transform.Rotation.from_matrix(turn).as_rotvec()[held]) > _STEP):
-                        continue
+                turns = cube_rotations()[1:]
+                for turn in turns[np.all(np.abs(rotation_vectors(turns)[:, held]) <= _STEP, axis=1)]:
                     turned = places[name].copy()
                     turned[:3, :3] = turned[:3, :3] @ turn
                     yield Guess(places | {name: turned}, scene.unknowns)
@@ -163,26 +159,26 @@ def _refine_guess(
     """The remaining f, as a sum of moderate powers, and the least-squares guess from a start by some readings."""
     readings, n_own = scene.readings.subset(chosen), len(kind.unknowns)
     scales = np.array([parameter.sigma_si for parameter in kind.unknowns])
+    first = scene.unknowns if start.unknowns is None else start.unknowns
     looks = [(k, np.flatnonzero(readings.pairs == k)) for k in np.unique(readings.pairs)]
     parts = [(scene.pairs[k], own, scene.links[chosen[own]], readings.subset(own)) for k, own in looks]
 
-    def guess_at(x: FloatArray) -> Guess:
-        places, steps = dict(start.places), dict[str, FloatArray]()
+    def places_at(x: FloatArray) -> dict[str, FloatArray]:
+        steps = {name: np.zeros(6) for name, _ in open_}
         for (name, k), number in zip(open_, x[n_own:], strict=True):
-            steps.setdefault(name, np.zeros(6))[k] = number
+            steps[name][k] = number
+        places = dict(start.places)
         for name, step in steps.items():
             places[name] = places[name].copy()
             places[name][:3, 3] += step[:3]
             places[name][:3, :3] = places[name][:3, :3] @ pin.exp3(step[3:])
-        assert start.unknowns is not None  # `_starts` sets them
-        return Guess(places, start.unknowns + scales * x[:n_own])
+        return places
 
     def misses(x: FloatArray) -> FloatArray:
-        at, result = guess_at(x), np.zeros((len(readings), kind.n_rows))
-        assert at.unknowns is not None  # `guess_at` sets them
+        places, result = places_at(x), np.zeros((len(readings), kind.n_rows))
         for (a, b), own, links, part in parts:
-            seen = np.linalg.inv(at.places[a]) @ links @ at.places[b]
-            result[own] = kind.misses(View(seen[:, :3, :3], seen[:, :3, 3]), at.unknowns, part)
+            seen = np.linalg.inv(places[a]) @ links @ places[b]
+            result[own] = kind.misses(View(seen[:, :3, :3], seen[:, :3, 3]), first + scales * x[:n_own], part)
         return np.nan_to_num(result.ravel())
 
     zero = np.zeros(n_own + len(open_))
@@ -191,4 +187,5 @@ def _refine_guess(
     fitted = scipy.optimize.least_squares(
         lambda x: np.concatenate([misses(x) / scale, stay * x]), zero, loss="soft_l1", max_nfev=most
     ).x
-    return float(np.sum(np.sqrt(np.abs(misses(fitted))))), guess_at(fitted)
+    guess = Guess(places_at(fitted), first + scales * fitted[:n_own])
+    return float(np.sum(np.sqrt(np.abs(misses(fitted))))), guess

@@ -1,6 +1,6 @@
-"""Rotations in files, and the rows of a measured orientation.
+"""Rotations in files, and readings that end with a rotation.
 
-Rows are the rotation error as a rotation vector in the axes of the measurement frame,
+Rows of a rotation are the rotation error as a rotation vector in the axes of the measurement frame,
 
     r = log(R_ab R^T)            d r = J_l(r)^-1 dw,       J_l(r)^-1 = I - [r]x / 2 + c [r]x^2
                                  c = (1 - (|r| / 2) cot(|r| / 2)) / |r|^2
@@ -12,7 +12,9 @@ Reference: sola2018, equation 146.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from abc import ABC
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -21,7 +23,7 @@ import scipy
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.errors import DataError
 from calib.core.base.units import Dimension
-from calib.core.instruments.kind import Column, Part
+from calib.core.instruments.kind import Column, Comparison, FrameInstrument, Part, Readings, View
 from calib.core.numerics.rigid import cross_matrices
 
 Form = Literal["quaternion", "rpy", "intrinsic_xyz", "intrinsic_zyx", "intrinsic_zyz", "rotation_vector", "matrix"]
@@ -159,3 +161,62 @@ def inverse_left_jacobian(vectors: FloatArray) -> FloatArray:
     factor = np.where(angle > 1e-4, (1.0 - half / np.tan(half)) / (4.0 * half**2), 1.0 / 12.0)
     cross = cross_matrices(vectors)
     return np.eye(3) - cross / 2.0 + factor[:, None, None] * (cross @ cross)
+
+
+@dataclass(frozen=True)
+class RotationInstrument(FrameInstrument, ABC):
+    """A kind that reads the orientation of one target frame in the measurement frame, and perhaps its position before.
+
+    Values are x, y, z, if the position is read, and a rotation vector; rows are the errors p_ab - p and r.
+    """
+
+    rotation: Form = "quaternion"
+
+    @property
+    def _n_lengths(self) -> int:
+        """Number of the rows before those of the rotation."""
+        return self.n_rows - len(ORIENTATION.axes)
+
+    def columns(self) -> tuple[Column, ...]:
+        """Return `<name>_x`, `_y`, `_z`, if the position is read, and those of the rotation."""
+        lengths = tuple(Column(f"{self.name}_{axis}", "length") for axis in "xyz"[: self._n_lengths])
+        return lengths + rotation_columns(self.name, self.rotation)
+
+    def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
+        """Return values, (n, n_rows) [m, rad]."""
+        lengths, numbers = np.split(super().values(columns), [self._n_lengths], axis=1)
+        return np.hstack([lengths, read_rotations(self.name, self.rotation, numbers)])
+
+    def cells(self, values: FloatArray) -> dict[str, FloatArray]:
+        """Return the columns of values, (n, n_rows) [m, rad]."""
+        lengths, vectors = np.split(values, [self._n_lengths], axis=1)
+        return super().cells(np.hstack([lengths, write_rotations(self.rotation, vectors)]))
+
+    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return p_ab, if it is read, and the rotation vector of R_ab, (n, n_rows) [m, rad]."""
+        return np.hstack([view.translation[:, : self._n_lengths], rotation_vectors(view.rotation)])
+
+    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
+        """Return errors, and their derivatives by dp and dw."""
+        n, first = len(readings), self._n_lengths
+        by_twist = np.zeros((n, self.n_rows, 6))
+        by_twist[:, :first, :first] = np.eye(first)
+        turned, by_twist[:, first:, 3:] = rotation_errors(view.rotation, readings.values[:, first:])
+        residuals = np.hstack([view.translation[:, :first] - readings.values[:, :first], turned])
+        return Comparison(residuals, by_twist, np.zeros((n, self.n_rows, 0)))
+
+    def with_errors(self, values: FloatArray, change: FloatArray) -> FloatArray:
+        """Return values with errors of position and orientation."""
+        lengths, vectors = np.split(values, [self._n_lengths], axis=1)
+        off, turns = np.split(change, [self._n_lengths], axis=1)
+        return np.hstack([lengths + off, turn_by(vectors, turns)])
+
+    def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Yield values with other readings of their rotations."""
+        lengths, vectors = np.split(values, [self._n_lengths], axis=1)
+        for words, others in other_rotations(self.rotation, vectors):
+            yield words, np.hstack([lengths, others])
+
+    def orientations(self, values: FloatArray) -> FloatArray:
+        """Return R_ab, (n, 3, 3)."""
+        return rotation_matrices(values[:, self._n_lengths :])

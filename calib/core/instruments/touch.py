@@ -89,11 +89,10 @@ class ArtefactSection(PosedSection):
 
     @model_validator(mode="after")
     def _makes_sense(self) -> ArtefactSection:
-        names = list(self.points)
-        for k, name in enumerate(names):
-            again = next((other for other in names[:k] if self.points[other] == self.points[name]), None)
-            if again is not None:
-                raise ValueError(f"the points '{again}' and '{name}' are at the same place")
+        names: dict[tuple[float, ...], str] = {}
+        for name, point in self.points.items():
+            if names.setdefault(point, name) != name:
+                raise ValueError(f"the points '{names[point]}' and '{name}' are at the same place")
         return self
 
     def place(self, name: str) -> Place:
@@ -238,14 +237,13 @@ class Touch(Relation):
 
     def _gap(self, view: View, unknowns: FloatArray, details: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Gaps (n, n_rows), their derivative by dp (n, n_rows, 3) and by the unknowns (n, n_rows, n_unknowns)."""
-        n = len(details)
-        which = details[:, 0].astype(np.intp)
-        point_unknown = self._point_unknown(which)
+        n, which = len(details), details[:, 0].astype(np.intp)
         ball = view.translation.copy()
         if self.points_of_artefact:
-            ball -= np.array(self.points_of_artefact)[which] + np.where(
-                point_unknown >= 0, np.append(unknowns, 0.0)[point_unknown], 0.0
-            )
+            points = np.array(self.points_of_artefact)
+            if self._n_errors:
+                points += unknowns[: self._n_errors].reshape(-1, 3)
+            ball -= points[which]
         gap: FloatArray
         by_motion: FloatArray
         if self.surface == "socket":
@@ -257,24 +255,21 @@ class Touch(Relation):
             gap, by_motion = (length - self.ball - self._radius(which, unknowns))[:, None], unit[:, None, :]
         by_unknown = np.zeros((n, self.n_rows, len(self.unknowns)))
         k = np.arange(n)
-        for axis in range(3 if self.tolerance is not None else 0):
-            by_unknown[k, :, point_unknown[:, axis]] = -by_motion[:, :, axis]
+        for axis in range(3 if self._n_errors else 0):
+            by_unknown[k, :, 3 * which + axis] = -by_motion[:, :, axis]
         radius = self.radius_unknown(which)
         by_unknown[k[radius >= 0], :, radius[radius >= 0]] = -1.0
         return gap, by_motion, by_unknown
 
-    def _point_unknown(self, which: IntArray) -> IntArray:
-        """Number of the unknown error of each coordinate of the touched point, (n, 3); -1: none."""
-        if self.tolerance is None:
-            return np.full((len(which), 3), -1)
-        return 3 * which[:, None] + np.arange(3)
+    @property
+    def _n_errors(self) -> int:
+        """Number of unknown errors of coordinates of points; they come before the radii."""
+        return 3 * len(self.points_of_artefact) if self.tolerance is not None else 0
 
     def radius_unknown(self, which: IntArray) -> IntArray:
         """Number of the unknown radius of the touched sphere, (n,); -1: it is known."""
-        first = 3 * len(self.points_of_artefact) if self.tolerance is not None else 0
         unknown = np.array([radius.unknown for radius in self.radii], dtype=bool)
-        number = np.where(unknown, first + np.cumsum(unknown) - 1, -1)
-        return number[self.pair_of(which)]
+        return np.where(unknown, self._n_errors + np.cumsum(unknown) - 1, -1)[self.pair_of(which)]
 
     def _radius(self, which: IntArray, unknowns: FloatArray) -> FloatArray:
         """Radius of the touched sphere, (n,) [m]."""
@@ -287,7 +282,6 @@ class Touch(Relation):
 def _tolerances(
     name: str, points: Mapping[str, tuple[float, float, float]], tolerance: float | None
 ) -> tuple[Parameter, ...]:
-    """The errors of the points of an artefact, point by point."""
     if tolerance is None:
         return ()
     return tuple(

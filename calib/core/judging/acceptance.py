@@ -14,42 +14,40 @@ With C = L L^T this is the least-squares problem y = X b + e of
     y = [r; 0],      X = [J L, P; I, 0],      |e|^2 = Q ~ chi^2_m,   m = readings' rows - rank P
 
 As noise and C were found with nu degrees of freedom, Q / m is compared with F(m, nu). This counts the uncertainty of
-the calibration; residuals against the noise alone would condemn every calibration. Where poses left out of the
-calibration were further off than C and its noise explain (`calib.core.fitting.unseen_errors.left_out_ratio`), both are
-widened by as much.
-
-Where the readings of a pose shared errors in the calibration, so that poses scattered rho times as much as independent
-readings (`calib.core.numerics.clusters`), m readings count as m / rho^2 degrees of freedom against nu, and z is divided
-by rho.
+the calibration; residuals against the noise alone would condemn every calibration. Where left-out poses were further
+off than C and its noise explain (`calib.core.fitting.unseen_errors.left_out_ratio`), both are widened by as much. Where
+readings of a pose scatter rho times as much as independent ones (`calib.core.numerics.clusters`), m readings count as
+m / rho^2, and z is divided by rho.
 
 Drift. A change d of one parameter, or of one joint's zero, adds its column: y = X b + B d + e. With B' the part of
 [B; 0] orthogonal to X, d = B'.y / |B'|^2, and z = B'.y / |B'| is Student's t with nu degrees of freedom if nothing
-changed.
-The smallest p-value times the number of distinct candidates (Holm's first step; parallel columns count once) is the
-chance of such a z by accident. A robot has drifted if that is below the level and the rest agrees; candidates whose z^2
-is within 3.84 of the largest explain the readings about as well, and are named with it. If one change does not
-explain them, the robot needs a new calibration. The level of either test is half of `FALSE_ALARM`.
+changed. The smallest p-value times the number of distinct candidates (Holm's first step; parallel columns count once)
+is the chance of such a z by accident. A robot has drifted if that is below the level and the rest agrees; candidates
+whose z^2 is within 3.84 of the largest explain the readings about as well, and are named with it. If one change does
+not explain them, the robot needs a new calibration.
 
 Power. With n poses a change d gives z the noncentrality |d| |B'|, so that the smallest change that is seen with a
-chance of 90 %, or the number of poses that a given change takes, are known before anything is measured.
+chance of 90 %, or the number of poses that a given change takes, are known before anything is measured. Errors s times
+as large as expected are seen with that chance if s^2 times the 10 % point of F(m, nu) reaches its limit: 1.6 times with
+30 degrees of freedom, 22 times with one. Readings that would not even show errors `TELLING` times as large are too few.
 
 Unlike poses. Noise and errors of joints are mostly what the model leaves out. At poses drawn like the used ones they
 differ from pose to pose, as noise does. Elsewhere, or where poses crowd together
 (`calib.core.data.pose_groups.are_drawn_alike`), they may be one common error, though no larger. Then the n rows read
 there count as k, the number of parameters that the calibration decided: rho^2 = 1 + n / k. And parameters may be as
-uncertain there as if only k of the N rows used had decided them: N / k times C. If the readings agree then, nothing
-shows that the robot has changed, and the verdict is about the poses. If a change is significant even then, the robot
-has drifted.
+uncertain there as if only k of the N rows used had decided them: N / k times C. If the readings agree then, the verdict
+is about the poses. If a change is significant even then, the robot has drifted.
 
-Few readings. With m degrees of freedom, errors s times as large as expected are seen with a chance of 90 % if s^2 times
-the 10 % point of F(m, nu) reaches its limit: 1.6 times with 30, 22 times with one. Readings that would not even show
-errors `TELLING` times as large agree with anything: then the verdict is that they are too few.
+To settle it. At a pose of the calibration, the model has the same error now as then: so a difference there is a change
+of the robot. Poses to measure again are chosen one by one, evenly spread ones of at most `MOST`: each increases the
+information on the change most (its determinant, as O1 in `calib.core.numerics.observability`), with base and targets
+eliminated, until the change shows with the chance `POWER`. A smaller change than was found takes more poses.
 
 Millimetres. The mean square distance, which people read, is tested too. It sums squares of unequal expected size, so
 its distribution is taken as an F with the same mean and variance. Its chance of a false alarm is 0.1 %.
 
-Noise. Readings that repeat a pose show noise without a model. Where they scatter more than promised, and the readings
-agree with that scatter as noise, the instrument or the robot's repeatability is worse, and no calibration helps.
+Noise. Where readings that repeat a pose scatter more than promised, and the others agree with that scatter as noise,
+the instrument or the robot's repeatability is worse, and no calibration helps.
 
 When it fails. Readings far from the rest are left out first, up to one in twenty, and named. Several changes at once
 are not distinguished: that is a new calibration's work.
@@ -63,28 +61,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.core.base.errors import DataError, nearest
+from calib.core.base.arrays import FloatArray, IntArray, evenly_spread
+from calib.core.base.errors import CalibrationError, DataError, nearest
 from calib.core.base.threads import one_blas_thread
 from calib.core.data.in_memory import MeasurementsLike, PosesLike, as_measurements, as_poses
+from calib.core.data.pose_groups import pose_labels
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
-from calib.core.judging.acceptance_system import (
-    POWER,
-    Change,
-    System,
-    candidates,
-    six_digits,
-    without_outliers,
-)
+from calib.core.fitting.outliers import numbers_by_instrument
+from calib.core.judging.acceptance_system import LEVEL, POWER, Change, System, candidates, without_outliers
 from calib.core.judging.promise import HasPromise, Promise
 from calib.core.judging.repeatability import repeatability
-from calib.core.judging.settling import poses_that_settle
-from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
-from calib.core.rows.simulate import simulate
+from calib.core.numerics.identifiability import unit_columns
 
 TELLING = 3.0
 """Readings are too few for a verdict if they would not show errors this many times as large as expected."""
-_LEVEL = FALSE_ALARM / 2  # level of each of two tests
+MOST = 300
+"""Largest number of poses that are examined to settle a verdict."""
+_COUNTS = (8, 12, 16, 24, 32)  # numbers of poses to measure again
+_NOTHING = 1e-6  # information before any pose is chosen, for columns of length 1
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom
 
 
@@ -98,11 +93,9 @@ class Acceptance:
             uncertainty.
         low95, high95: 95 % limits of the ratio, if the robot is as calibrated.
         detectable: Smallest ratio of real to expected errors that is seen with the chance `POWER`.
-        p_value: Chance of so large a ratio, if the robot is as calibrated.
-        p_drift: Chance that the largest change of a single parameter is this large, if the robot is as calibrated.
-        p_rest: Chance of so large residuals after that change.
-        freedom: Degrees of freedom of the ratio.
-        placed: Degrees of freedom of placing base and targets.
+        p_value, p_drift, p_rest: Chances of so large a ratio, of so large a largest change of a single parameter, and
+            of so large residuals after that change, if the robot is as calibrated.
+        freedom, placed: Degrees of freedom of the ratio, and of placing base and targets.
         changes: Every candidate, the largest z first.
         alternative_changes: Significant changes that explain the readings as well as the first one, itself included.
         outliers: Labels of readings that were left out.
@@ -172,36 +165,33 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
     """
     promise = Promise.from_calibration(calibrated)
     data = as_measurements(promise.robot, data)
-    system = System.from_promise(promise, data, same_setup)
-    system, left_out = without_outliers(system)
+    system, left_out = without_outliers(System.from_promise(promise, data, same_setup))
     outliers = tuple(data.labels[system.rows.layout.visit[k]] for k in left_out)
     if left_out:  # base and targets are placed without them too
-        system = System.from_promise(promise, data.with_readings(system.numbers_without(left_out)), same_setup)
-    tests = _Tests.from_system(system)
-    verdict, unlike, larger = "agrees", False, tests.has_larger_errors
-    if tests.fail:
-        verdict = tests.verdict_of_unexplained
-        if tests.p_drift >= _LEVEL and _is_noise(promise, system):
+        kept = np.setdiff1d(np.arange(system.rows.layout.n_readings), left_out)
+        data = data.with_readings(numbers_by_instrument(kept, system.rows.layout))
+        system = System.from_promise(promise, data, same_setup)
+    verdict, unlike, larger = _verdict(system), False, system.has_larger_errors
+    if verdict != "agrees":
+        if system.p_drift >= LEVEL and _is_noise(system):
             verdict = "noisier"
         elif system.has_unlike_poses:
-            unlike, system = True, system.with_common_error(system.errors.data, same_setup)
-            tests = _Tests.from_system(system)
-            verdict = tests.verdict_of_unexplained if tests.fail else "unlike poses"
-    by_chance = [1.0 - POWER, 0.025, 0.975, 1.0 - _LEVEL]
-    missed, low, high, limit = np.sqrt(scipy.special.fdtri(tests.independent, promise.freedom, by_chance)).tolist()
+            unlike, system = True, system.with_common_error()
+            verdict = "unlike poses" if system.agrees else _verdict(system)
+    by_chance = [1.0 - POWER, 0.025, 0.975, 1.0 - LEVEL]
+    missed, low, high, limit = np.sqrt(scipy.special.fdtri(system.independent, promise.freedom, by_chance)).tolist()
     if verdict == "agrees" and limit > TELLING * missed:
         verdict = "too few readings"
-    changes, settled = tests.changes, verdict in ("agrees", "noisier", "too few readings")
-    again = () if settled or not changes else poses_that_settle(promise, changes[0])
+    changes, settled = system.changes, verdict in ("agrees", "noisier", "too few readings")
     return Acceptance(
         verdict,
         float(np.sqrt(system.square / system.freedom)),
         low,
         high,
         limit / missed,
-        tests.p_value,
-        tests.p_drift,
-        tests.p_rest,
+        system.p_value,
+        system.p_drift,
+        system.p_rest,
         system.freedom,
         system.placement_rank,
         changes,
@@ -210,66 +200,18 @@ def verify(calibrated: Fit | HasPromise | Promise, data: MeasurementsLike, *, sa
         system.errors,
         system.expected.rms,
         system.expected.calibration_rms,
-        system.expected.limit(UNLIKELY, promise.freedom),
+        system.expected.limit(promise.freedom),
         float(scipy.special.stdtrit(promise.freedom, 0.975)),
         unlike,
         larger,
-        again,
+        () if settled or not changes else _poses_that_settle(promise, changes[0]),
     )
 
 
-@dataclass(frozen=True)
-class _Tests:
-    """Chances of the new readings, if the robot is as calibrated.
-
-    Attributes:
-        p_value, p_drift, p_rest, changes: Attributes of `Acceptance`.
-        independent: Degrees of freedom of the ratio, reduced where readings share errors.
-        far: Whether distances exceed the limit that chance exceeds in one of a thousand cases.
-    """
-
-    p_value: float
-    p_drift: float
-    p_rest: float
-    changes: tuple[Change, ...]
-    independent: float
-    far: bool
-
-    @staticmethod
-    def from_system(system: System) -> _Tests:
-        """Return the tests of a system."""
-        promise, changes = system.promise, system.changes()
-        independent = system.freedom / promise.shared**2
-        p_value = float(scipy.special.fdtrc(independent, promise.freedom, system.square / system.freedom))
-        p_drift = p_rest = 1.0
-        if changes:
-            p_drift = changes[0].p_value
-            rest = max(system.square - (promise.shared * changes[0].z) ** 2, 0.0) / max(system.freedom - 1, 1)
-            p_rest = float(scipy.special.fdtrc(max(independent - 1, 1), promise.freedom, rest))
-        far = _single_rms(system) > system.expected.limit(UNLIKELY, promise.freedom)  # false for NaN: without positions
-        return _Tests(p_value, p_drift, p_rest, changes, independent, far)
-
-    @property
-    def fail(self) -> bool:
-        """Whether chance does not explain the readings."""
-        return self.has_larger_errors or self.p_drift < _LEVEL
-
-    @property
-    def has_larger_errors(self) -> bool:
-        """Whether errors are larger than chance explains; if not, they may still have the pattern of a change."""
-        return self.p_value < _LEVEL or self.far
-
-    @property
-    def verdict_of_unexplained(self) -> str:
-        """The verdict of readings that chance does not explain."""
-        return "drifted" if self.p_drift < _LEVEL <= self.p_rest else "calibrate again"
-
-
-def _single_rms(system: System) -> float:
-    lengths = system.errors.errors("after", single=True)
-    if not len(lengths):
-        return float("nan")
-    return float(np.sqrt(np.mean(np.nansum(lengths**2, axis=1))))
+def _verdict(system: System) -> str:
+    if system.agrees:
+        return "agrees"
+    return "drifted" if system.p_drift < LEVEL <= system.p_rest else "calibrate again"
 
 
 @one_blas_thread
@@ -279,17 +221,16 @@ def visible_changes(
     """Return the smallest change of every candidate that readings at these poses show, sorted by change over scale.
 
     Args:
-        calibrated: The promise of the calibration, or the fit itself.
+        calibrated, same_setup: As in `verify`.
         poses: Poses to be measured, or their joint values (n, n_actuated) [m or rad].
-        same_setup: As in `verify`.
     """
     promise = Promise.from_calibration(calibrated)
-    data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
     scale = {c.name: c.scale for c in candidates(promise.robot)}
-    system = System.from_promise(promise, data, same_setup)
-    changes = (system.with_common_error(data, same_setup) if system.has_unlike_poses else system).changes()
+    system = System.planned(promise, poses, same_setup)
+    changes = (system.with_common_error() if system.has_unlike_poses else system).changes
     nothing = [replace(change, value=np.nan, z=np.nan, p_value=np.nan) for change in changes]
-    return tuple(sorted(nothing, key=lambda change: six_digits(change.visible / scale[change.name])))
+    # to six digits, so that rounding decides about no order
+    return tuple(sorted(nothing, key=lambda change: float(f"{change.visible / scale[change.name]:.6g}")))
 
 
 @one_blas_thread
@@ -299,11 +240,9 @@ def poses_needed(
     """Return the number of poses, from the first, that show a change with the chance `POWER`; None if all are too few.
 
     Args:
-        calibrated: The promise of the calibration, or the fit itself.
-        poses: Poses to be measured, or their joint values (n, n_actuated) [m or rad].
+        calibrated, poses, same_setup: As in `visible_changes`.
         name: A parameter, or `zero of JOINT`.
         size: The change [m or rad].
-        same_setup: As in `verify`.
 
     Raises:
         DataError: No such candidate, or no size.
@@ -327,18 +266,50 @@ def poses_needed(
     return needed if needed <= len(planned) else None
 
 
-def _is_noise(promise: Promise, system: System) -> bool:
+def _is_noise(system: System) -> bool:
     """Whether repeats scatter more than expected, and the readings agree with as much noise."""
     scatter, freedom = repeatability(system.errors)
-    instruments = promise.robot.instruments
-    positions = {
-        (instrument.group, part.name) for instrument in instruments for part in instrument.parts if part.is_position
-    }
+    promise = system.promise
+    positions = {(i.group, part.name) for i in promise.robot.instruments for part in i.parts if part.is_position}
     sigma = [size for key, size in promise.sigma.items() if key in positions]
     if freedom == 0 or len(sigma) != 1 or sigma[0] <= 0:
         return False
     more = (scatter / sigma[0]) ** 2
-    if scipy.special.fdtrc(freedom, promise.freedom, more) >= _LEVEL:
+    if scipy.special.fdtrc(freedom, promise.freedom, more) >= LEVEL:
         return False
-    independent = system.freedom / promise.shared**2
-    return bool(scipy.special.fdtrc(independent, freedom, system.square / system.freedom / more) >= _LEVEL)
+    return bool(scipy.special.fdtrc(system.independent, freedom, system.square / system.freedom / more) >= LEVEL)
+
+
+def _poses_that_settle(promise: Promise, change: Change) -> tuple[str, ...]:
+    """Return the names of poses of the calibration that show a found change, best first; none if no poses show it."""
+    if not len(promise.joints):
+        return ()
+    first = np.unique(pose_labels(promise.joints), return_index=True)[1]
+    some = np.sort(first)[evenly_spread(len(first), MOST)]
+    try:
+        order = some[_order(promise, promise.joints[some], change)]
+        for count in _COUNTS:
+            system = System.planned(promise, promise.joints[order[:count]], same_setup=False)
+            shown = {own.name: own.visible for own in system.changes}
+            if shown.get(change.name, np.inf) <= abs(change.value) or count >= len(order):
+                break
+    except CalibrationError:  # poses cannot be simulated, such as those of setups
+        return ()
+    return tuple(promise.names[k] for k in order[:count])
+
+
+def _order(promise: Promise, joints: FloatArray, change: Change) -> IntArray:
+    system = System.planned(promise, joints, same_setup=False)
+    number = [known.name for known in candidates(promise.robot)].index(change.name)
+    places, layout = system.rows.jacobian[:, ~system.rows.prior.has], system.rows.layout
+    columns = unit_columns(np.column_stack([places, system.candidate_columns[:, number]]))[0]
+    visit = layout.visit[layout.reading]
+    rows = [columns[visit == k] for k in range(len(joints))]
+    information, chosen = _NOTHING * np.eye(columns.shape[1]), list[int]()
+    for _ in range(min(_COUNTS[-1], len(rows))):
+        inverse = np.linalg.inv(information)
+        gain = [np.linalg.slogdet(np.eye(len(own)) + own @ inverse @ own.T)[1] for own in rows]
+        gain = [-np.inf if k in chosen else round(float(size), 9) for k, size in enumerate(gain)]
+        chosen.append(int(np.argmax(gain)))
+        information = information + rows[chosen[-1]].T @ rows[chosen[-1]]
+    return np.array(chosen, dtype=np.intp)

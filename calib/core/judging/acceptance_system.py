@@ -5,7 +5,7 @@ Symbols are those of that module: r residuals, J L the uncertain parameters, P b
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -15,15 +15,15 @@ import scipy
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.errors import DataError
 from calib.core.base.units import Dimension
+from calib.core.data.in_memory import PosesLike
 from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import are_drawn_alike
 from calib.core.fitting.error_sets import ErrorSet
-from calib.core.fitting.outliers import numbers_by_instrument
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.solving import place
 from calib.core.judging.promise import Promise
 from calib.core.numerics import linalg
-from calib.core.numerics.chances import FALSE_ALARM
+from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.numerics.identifiability import RANK_TOLERANCE, unit_columns
 from calib.core.numerics.losses import studentised
 from calib.core.numerics.mixed_rows import whiten_scatter
@@ -31,11 +31,14 @@ from calib.core.numerics.prior import Prior
 from calib.core.robots.robot import Robot
 from calib.core.rows.observed import Observed, observe
 from calib.core.rows.rows import Rows
+from calib.core.rows.simulate import simulate
 from calib.core.rows.unknowns import Unknowns
 from calib.core.rows.whitening import Whitening
 
 POWER = 0.9
 """Chance with which a change shall be seen."""
+LEVEL = FALSE_ALARM / 2
+"""Level of each of two tests."""
 _OUTLIERS = 0.05  # largest part of the readings that is left out
 _PARALLEL = 1.0 - 1e-6  # columns with a larger cosine count as equal
 _LARGEST = 0.2  # a change that shows only above this size is beyond the linear model [m or rad]
@@ -66,17 +69,14 @@ class Change:
     @property
     def significant(self) -> bool:
         """Whether the change is significant among all changes that were tested."""
-        return self.p_value < FALSE_ALARM / 2
+        return self.p_value < LEVEL
 
 
 @dataclass(frozen=True)
 class PossibleChanges:
-    """A change of a robot that new readings can show.
+    """A change of a robot that new readings can show, in units of `scale` [m or rad].
 
-    Attributes:
-        name: The parameter, or `zero of JOINT`.
-        index: Index among the actuated joints, then the free parameters.
-        scale: Unit of the change [m or rad].
+    `index` counts actuated joints, then free parameters; the name is that of the parameter, or `zero of JOINT`.
     """
 
     name: str
@@ -118,20 +118,21 @@ class ExpectedDistances:
     calibration_rms: float
     freedom: float
 
-    def limit(self, chance: float, noise_freedom: float) -> float:
-        """Return the limit of the root mean square for a chance, with the degrees of freedom of the noise [m]."""
-        return self.rms * float(np.sqrt(scipy.special.fdtri(self.freedom, noise_freedom, 1.0 - chance)))
+    def limit(self, noise_freedom: float) -> float:
+        """Return the root mean square that chance exceeds with `UNLIKELY` [m], with the noise's degrees of freedom."""
+        return self.rms * float(np.sqrt(scipy.special.fdtri(self.freedom, noise_freedom, 1.0 - UNLIKELY)))
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """The least-squares problem.
+    """The least-squares problem, and its tests.
 
     Attributes:
         rows: The linear model: r by the uncertain parameters J L, which have a prior, and by the places P, of length 1.
         candidate_columns: Columns of the candidates, (n_rows, n_candidates).
         errors: Errors of the readings after placing base and targets, without outliers.
         expected: Expectation of the distances between measured and predicted positions.
+        same_setup: Whether base and targets are where the calibration found them.
     """
 
     promise: Promise
@@ -139,6 +140,7 @@ class System:
     candidate_columns: FloatArray
     errors: ErrorSet = field(repr=False)
     expected: ExpectedDistances
+    same_setup: bool
 
     @staticmethod
     def from_promise(promise: Promise, data: Measurements, same_setup: bool) -> System:
@@ -147,8 +149,9 @@ class System:
         known, whole = promise.uncertainty, promise.uncertainty.with_undecided_terms(robot)
         configurations = whole.assemble(data.joints, labels=data.labels, context=data.conditions)
         observed = observe(whole, configurations, data.readings, joints=True)
+        errors = {name: block.residuals for name, block in observed.items()}
         whitening, unknowns = Whitening(robot, data), Unknowns.from_robot(whole)
-        scales = whitening.start({name: block.residuals for name, block in observed.items()})
+        scales = whitening.start(errors)
         for g, group in enumerate(whitening.groups):
             if (group.name, group.part.name) in promise.sigma:
                 scales[g] = max(promise.sigma[group.name, group.part.name], 1e-30) / group.typical
@@ -159,44 +162,46 @@ class System:
             levers, rows.layout.pose_of_row, rows.residuals, rows.jacobian, joints
         )
         placed = np.zeros(len(unknowns), dtype=bool) if same_setup else unknowns.placement
-        lasting = known.lasting(robot)
         place_of = {name: k for k, name in enumerate(unknowns.names)}
         index = np.array([place_of[name] for name in known.lasting_names(robot)], dtype=np.intp)
-        stays = ~placed[index]
-        index = index[stays]
-        covariance = known.covariance_of(robot)[np.ix_(lasting, lasting)][np.ix_(stays, stays)]
+        stays = np.flatnonzero(~placed[index])
+        index, covariance = index[stays], known.covariance_of(robot)[np.ix_(stays, stays)]
         values, vectors = linalg.eigh(covariance / np.outer(unknowns.scales[index], unknowns.scales[index]))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         columns = np.hstack([jacobian[:, index] @ root, unit_columns(jacobian[:, placed])[0]])
         prior = Prior(np.arange(columns.shape[1]) < root.shape[1])
         by_all = np.hstack([_JOINT_STEP * robot.mechanism.joint_scale * joints, jacobian])
-        candidate_columns = by_all[:, [candidate.index for candidate in candidates(robot)]]
-        errors = {name: block.residuals for name, block in observed.items()}
-        return System(
+        error_set = ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations))
+        spread = root * unknowns.scales[index, None]
+        system = System(
             promise,
             replace(rows, residuals=residuals, jacobian=columns, prior=prior, deviations=np.zeros(columns.shape[1])),
-            candidate_columns,
-            ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations)),
-            _expected_distances(promise, whole, observed, index, placed, root * unknowns.scales[index, None]),
-        ).require_readings(data)
-
-    def numbers_without(self, readings: Sequence[int]) -> dict[str, IntArray]:
-        """Return the indices of each instrument's readings except some, (n_own,)."""
-        return numbers_by_instrument(np.setdiff1d(np.arange(self.rows.layout.n_readings), readings), self.rows.layout)
-
-    def require_readings(self, data: Measurements) -> System:
-        """Return the system itself, or raise `DataError` if no degree of freedom is left."""
-        if self.promise.freedom < 1:
+            by_all[:, [candidate.index for candidate in candidates(robot)]],
+            error_set,
+            _expected_distances(promise, whole, error_set, observed, index, placed, spread),
+            same_setup,
+        )
+        if promise.freedom < 1:
             raise DataError(
-                f"{self.promise.robot.path}: its calibration left {self.promise.freedom:.2g} degrees of freedom, too"
-                " few to say how accurate it is; calibrate with more poses"
+                f"{promise.robot.path}: its calibration left {promise.freedom:.2g} degrees of freedom, too few to say"
+                " how accurate it is; calibrate with more poses"
             )
-        if self.freedom < 1:
+        if system.freedom < 1:
             raise DataError(
-                f"{data.path}: {self.n_rows} measured values are only enough to place base and"
-                " targets; measure more poses"
+                f"{data.path}: {system.n_rows} measured values are only enough to place base and targets; measure more"
+                " poses"
             )
-        return self
+        return system
+
+    @staticmethod
+    def planned(promise: Promise, poses: PosesLike, same_setup: bool) -> System:
+        """Return the problem of readings at these poses, which have not been made."""
+        data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
+        return System.from_promise(promise, data, same_setup)
+
+    def with_common_error(self) -> System:
+        """Return the system where unexplained errors may be common to all readings."""
+        return System.from_promise(self.promise.with_common_error(self.n_rows), self.errors.data, self.same_setup)
 
     def without_readings(self, readings: IntArray) -> System:
         """Return the system without some readings, (n,)."""
@@ -247,15 +252,47 @@ class System:
         """Whether the poses are distributed otherwise than the used ones."""
         return len(self.promise.joints) > 0 and not are_drawn_alike(self.errors.data.joints, self.promise.joints)
 
-    def with_common_error(self, data: Measurements, same_setup: bool) -> System:
-        """Return the system where unexplained errors may be common to all readings; arguments as in `from_promise`."""
-        return System.from_promise(self.promise.with_common_error(self.n_rows), data, same_setup)
+    @property
+    def independent(self) -> float:
+        """Degrees of freedom of the ratio, reduced where readings share errors."""
+        return self.freedom / self.promise.shared**2
 
+    @property
+    def p_value(self) -> float:
+        """Chance of so large a sum of squares, if the robot is as calibrated."""
+        return float(scipy.special.fdtrc(self.independent, self.promise.freedom, self.square / self.freedom))
+
+    @property
+    def p_drift(self) -> float:
+        """Chance that the largest change is this large, if the robot is as calibrated."""
+        return self.changes[0].p_value if self.changes else 1.0
+
+    @property
+    def p_rest(self) -> float:
+        """Chance of so large residuals after that change."""
+        if not self.changes:
+            return 1.0
+        rest = max(self.square - (self.promise.shared * self.changes[0].z) ** 2, 0.0) / max(self.freedom - 1, 1)
+        return float(scipy.special.fdtrc(max(self.independent - 1, 1), self.promise.freedom, rest))
+
+    @property
+    def has_larger_errors(self) -> bool:
+        """Whether errors are larger than chance explains; if not, they may still have the pattern of a change."""
+        lengths = self.errors.errors("after", single=True)
+        square = np.mean(np.nansum(lengths**2, axis=1)) if len(lengths) else np.nan  # NaN is no larger
+        return self.p_value < LEVEL or bool(np.sqrt(square) > self.expected.limit(self.promise.freedom))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether chance explains the readings."""
+        return not self.has_larger_errors and self.p_drift >= LEVEL
+
+    @cached_property
     def changes(self) -> tuple[Change, ...]:
-        """Return visible candidates, the largest z first."""
+        """Visible candidates, the largest z first."""
         left, listed = self._orthogonal_part(self.candidate_columns), candidates(self.promise.robot)
         size, full_size = np.linalg.norm(left, axis=0), np.linalg.norm(self.candidate_columns, axis=0)
-        weakest = self.promise.shared * _noncentrality(FALSE_ALARM / 2, self.promise.freedom) / _LARGEST
+        weakest = self.promise.shared * _noncentrality(LEVEL, self.promise.freedom) / _LARGEST
         seen = size > weakest * np.array([candidate.scale for candidate in listed])
         visible = np.flatnonzero(seen & (size > 1e-6 * np.maximum(full_size, 1e-300)))
         if len(visible) == 0:
@@ -266,7 +303,7 @@ class System:
             if all(abs(unit[:, j] @ unit[:, i]) < _PARALLEL for i in distinct):
                 distinct.append(j)
         z, spread = unit[: len(self.rows.residuals)].T @ self.rows.residuals, self.promise.shared
-        needed = _noncentrality(FALSE_ALARM / 2 / len(distinct), self.promise.freedom)
+        needed = _noncentrality(LEVEL / len(distinct), self.promise.freedom)
         changes = [
             Change(
                 listed[k].name,
@@ -283,25 +320,18 @@ class System:
         return tuple(changes)
 
 
-def six_digits(value: float) -> float:
-    """Return a number to six digits, so that rounding decides about no order."""
-    return float(f"{value:.6g}")
-
-
 def without_outliers(system: System) -> tuple[System, list[int]]:
     """Leave out readings further off than noise explains, one by one, as long as they are few."""
     left_out: list[int] = []
-    most = int(_OUTLIERS * system.rows.layout.n_readings)
-    complete = system
-    while len(left_out) < most:
+    complete, most = system, int(_OUTLIERS * system.rows.layout.n_readings)
+    while True:
         reading, chance = system.worst()
-        if chance >= FALSE_ALARM / 2:
+        if chance >= LEVEL:
             return system, left_out
+        if len(left_out) == most:
+            return complete, []  # so many are no outliers
         left_out.append(reading)
         system = complete.without_readings(np.array(left_out))
-    if left_out and system.worst()[1] < FALSE_ALARM / 2:
-        return complete, []  # so many are no outliers
-    return system, left_out
 
 
 def _noncentrality(level: float, freedom: float) -> float:
@@ -314,6 +344,7 @@ def _noncentrality(level: float, freedom: float) -> float:
 def _expected_distances(
     promise: Promise,
     robot: Robot,
+    errors: ErrorSet,
     observed: Mapping[str, Observed],
     uncertain: IntArray,
     placed: BoolArray,
@@ -321,21 +352,14 @@ def _expected_distances(
 ) -> ExpectedDistances:
     """Return the expectation of the distances between measured and predicted positions.
 
-    Args:
-        robot: The robot with undecided terms, placed by the readings.
-        observed: Observed readings, with derivatives by parameters and joints.
-        uncertain: Numbers of the uncertain parameters among the free ones, (n,).
-        placed: Mask of the free parameters that are placed anew, (n_free,).
-        root: A root of the covariance of the uncertain ones, (n, k) [m or rad].
+    Of the free parameters, some are `uncertain` (n,), with `root` of their covariance (n, k) [m or rad], and others are
+    `placed` anew, (n_free,).
     """
     free, slopes, square, by_joints, n = np.flatnonzero(robot.is_free), [], 0.0, 0.0, 0
     scatter = promise.uncertainty.joint_error * robot.mechanism.joint_scale
-    for name, derivatives in observed.items():
-        instrument = robot.instrument(name)
-        for index, part in enumerate(instrument.parts):
-            if not part.is_position:
-                continue
-            rows = [r for r, k in enumerate(instrument.part_of_row) if k == index]
+    for instrument, part, rows in errors.parts():
+        if part.is_position:
+            derivatives = observed[instrument.name]
             n_readings = len(derivatives.residuals)
             n += n_readings
             slopes.append(derivatives.derivative_by(free)[:, rows].reshape(-1, len(free)))

@@ -15,12 +15,10 @@ noise that was itself found, with f degrees of freedom: so F replaces the chi-sq
 distribution. The unknown e is replaced by the errors of the better state, where they are larger than the noise, because
 they contain errors of the model. Where poses scatter more than independent readings
 (`calib.core.numerics.clusters`), the mixed part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
-Validation poses whose frame moved are compared with the frame placed anew (`calib.core.fitting.unseen_errors`).
 
-This test asks whether the uncertainty of the fit explains the change. A fit that is uncertain at unused poses explains
-much, and harms the robot nevertheless. So a calibration is `worse`, too, if errors are more than `HARM` times as large
-as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with a chance of 0.1 % by
-Student's t; and `better` if errors before are larger than after in the same way.
+The uncertainty of a fit explains much where it is uncertain, and harms the robot nevertheless. So a calibration is
+`worse`, too, if errors are more than `HARM` times as large as before, and the differences |a_k|^2 - |b_k|^2, summed
+pose by pose, have a mean above zero with a chance of 0.1 % by Student's t; and `better` in the same way.
 
 When it fails. Both parts of the change grow with the same d: up to 0.25 % of robots that need no correction are called
 worse instead of 0.1 %. Errors of the model are no noise, and follow the poses: where unused poses are few and alike,
@@ -31,13 +29,13 @@ Reference: satterthwaite1946.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.memoize import memoize
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.unseen_errors import accuracy_of_errors, unused_errors
@@ -49,7 +47,7 @@ HARM = 1.25
 parameters, the fewest allowed, its noise alone makes errors sqrt(1 + 1/2) = 1.22 times as large."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class UnusedErrors:
     """Errors on one set of unused poses.
 
@@ -58,6 +56,7 @@ class UnusedErrors:
     """
 
     name: str
+    errors: ErrorSet
     accuracy: Accuracy
     better: bool
     worse: bool
@@ -69,36 +68,36 @@ class UnusedErrors:
         return f"RMS {known.in_unit(known.rms)} after, {known.in_unit(known.before)} before"
 
 
-def comparisons(fit: Fit) -> Iterator[UnusedErrors]:
+@memoize
+def comparisons(fit: Fit) -> tuple[UnusedErrors, ...]:
     """Compare before and after on the validation poses and in cross-validation, as far as these exist."""
+    compared = []
     for errors, poses in () if fit.computed else unused_errors(fit):
         name, fewer = f"the validation poses{'' if errors is fit.validation else ', their frame placed anew'}", 1.0
         if poses is PoseUse.FOLDS and fit.folds is not None:
             name = f"{'setups' if fit.folds.setups else 'poses'} left out in turn"
             fewer = fit.folds.count / (fit.folds.count - 1)  # each fold is predicted by a fit of the others
-        yield _compare(fit, name, errors, poses, fewer)
+        compared.append(UnusedErrors(name, errors, accuracy_of_errors(errors, poses), *_compare(fit, errors, fewer)))
+    return tuple(compared)
 
 
-def _compare(fit: Fit, name: str, errors: ErrorSet, poses: PoseUse, covariance: float) -> UnusedErrors:
+def _compare(fit: Fit, errors: ErrorSet, fewer: float) -> tuple[bool, bool]:
+    """Whether errors became smaller, and larger, beyond chance, with `fewer` times the covariance of the fit."""
     before, rows = fit.whitened_residuals_and_rows(errors)
-    scaled = fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
-    product = rows.jacobian.T @ rows.jacobian @ (covariance * scaled)
+    covariance = fewer * fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
+    product = rows.jacobian.T @ rows.jacobian @ covariance
     squares = float(before @ before), float(rows.residuals @ rows.residuals)
     change, expected = squares[1] - squares[0], float(np.trace(product))
     pose = np.unique(rows.layout.pose_of_row, return_inverse=True)[1]
     if fit.statistics.shared_scatter is not None:
         left = rows.residuals if squares[1] < squares[0] else before
         sums = np.stack([np.bincount(pose, column * left) for column in rows.jacobian.T], axis=1)
-        mixed = float(np.sum((sums @ (covariance * scaled)) * sums))
+        mixed = float(np.sum((sums @ covariance) * sums))
     else:
         mixed = max(1.0, min(squares) / rows.layout.n_read) * expected
     spread = _margin_above_mean(product, mixed, fit.statistics.freedom)
-    return UnusedErrors(
-        name,
-        accuracy_of_errors(errors, poses),
-        better=change < min(0.0, expected - spread) or _has_grown(pose, rows.residuals, before),
-        worse=change > expected + spread or _has_grown(pose, before, rows.residuals),
-    )
+    better = change < min(0.0, expected - spread) or _has_grown(pose, rows.residuals, before)
+    return better, change > expected + spread or _has_grown(pose, before, rows.residuals)
 
 
 def _has_grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:

@@ -1,17 +1,11 @@
 """The claim of a calibration on the error of the robot where it was measured, and its test at unused poses.
 
-The claim. Each used pose is predicted by the fit of all others. Of the errors at further poses like them, 95 in 100
-stay below `limit95`, whatever their distribution (`calib.core.fitting.unseen_errors`).
-
-Whether it holds. At n poses that had no part in the fit, such as validation poses, the root mean square error may be
-`MORE` times that of the claim; more only where n is so small that chance makes it so in one case of a thousand (F, with
-as many degrees of freedom as coordinates were read, or as poses where the readings of a pose share errors).
-A few wild readings decide a root mean square, and the claim excludes 5 poses in 100. So where at most 5 in 100 are
-outliers, the claim also holds if the other poses are no more than `MORE` times as far off, and chance (binomial) allows
-the number of poses beyond `MORE` times `limit95`. A reason of their own names the outliers.
-
-Whether the robot gets better. On unused poses, if there are any, by `calib.core.judging.better_or_worse`; else by
-Student's t of the squared error of each pose, when it is left out, minus the nominal robot's.
+Each used pose is predicted by the fit of all others. Of the errors at further poses like them, 95 in 100 stay below
+`limit95`, whatever their distribution (`calib.core.fitting.unseen_errors`). docs/verdict.md says when the claim holds,
+when the robot gets better, and which poses are unlike those measured. Chance allows one case in a thousand: for the
+root mean square by F, with as many degrees of freedom as coordinates were read, or as poses where the readings of a
+pose share errors; for numbers of poses by the binomial distribution; for the gain without unused poses by Student's t
+of the squared error of each pose, when it is left out, minus the nominal robot's.
 
 At other poses. The claimed mean square error consists of errors that no parameter describes and of the uncertainty of
 the parameters. Elsewhere the second grows: where positions are known to k' and not to k, both root mean squares
@@ -23,12 +17,7 @@ and `limit95` grows in proportion. In `rms`, each pose is predicted without its 
 k^2 = k_all^2 + s^2, with k_all from the covariance of the fit of all poses, and s the root mean square shift of
 predictions when the pose itself is left out. For independent noise f, the covariance of this shift equals the
 information that the pose adds about itself: cov r_k = f^2 (1 - H_k), so that with the step du of
-`calib.core.fitting.unseen_errors` cov du = f^2 C J_k^T (1 - H_k)^-1 J_k C. docs/verdict.md shows how well that holds on
-real robots.
-
-Like those measured. Unused poses may lie elsewhere: in an unused setup, or apart from all used poses
-(`calib.core.data.pose_groups.is_apart`). If more of them are apart than chance explains (one case in a thousand),
-errors there say little about the claim.
+`calib.core.fitting.unseen_errors` cov du = f^2 C J_k^T (1 - H_k)^-1 J_k C.
 
 When it fails. New poses unlike the measured ones may be worse by errors of the model: in another region, under another
 load, at another place of a touched object. A change in the course of the measurement goes on after it. Copies of a pose
@@ -60,10 +49,9 @@ from calib.core.fitting.unseen_errors import (
     errors_at_visits,
     leave_one_out_errors,
     rms_shift_left_out,
-    unused_errors,
 )
 from calib.core.judging import findings
-from calib.core.judging.better_or_worse import comparisons, surely_positive
+from calib.core.judging.better_or_worse import UnusedErrors, comparisons, surely_positive
 from calib.core.numerics.chances import UNLIKELY
 from calib.core.robots.accuracy_of_files import Accuracy, PoseUse
 
@@ -154,12 +142,9 @@ class Claim:
         """The claim as a sentence."""
         measured = self.at_measured_poses
         subject = "The tool is" if measured.is_position else f"{measured.readings.capitalize()} are"
+        off = f"off by {measured.in_unit(measured.rms)} RMS"
         if np.isfinite(measured.limit95):
-            off = (
-                f"within {measured.in_unit(measured.limit95)} of where the model says, 95 % of the time, {self.region}"
-            )
-        else:
-            off = f"off by {measured.in_unit(measured.rms)} RMS, {self.region}"
+            off = f"within {measured.in_unit(measured.limit95)} of where the model says, 95 % of the time"
         shown = "".join(
             f" At {seen.accuracy.pose_words}: RMS {seen.accuracy.in_unit(seen.accuracy.rms)}, {kept.in_unit(kept.rms)}"
             " without outliers."
@@ -170,7 +155,8 @@ class Claim:
             " Elsewhere errors may be larger; joints that moved through less than half of their range:"
             f" {listing(self.joints_moved_little)}."
         )
-        return f"{subject} {off} (each predicted from the others).{narrow if self.joints_moved_little else ''}{shown}"
+        narrow = narrow if self.joints_moved_little else ""
+        return f"{subject} {off}, {self.region} (each predicted from the others).{narrow}{shown}"
 
     def to_dict(self) -> dict[str, object]:
         """Return the entry of `result.json`; errors in the unit of errors."""
@@ -240,25 +226,25 @@ def claim_of(fit: Fit) -> Claim | None:
     if np.all(fit.unknowns.placement):
         measured = replace(measured, before=float("nan"))
     seen = list[SeenUnused]()
-    for errors, where in unused_errors(fit):
-        accuracy = accuracy_of_errors(errors, where)
+    for compared in comparisons(fit):
+        accuracy = compared.accuracy
         if (accuracy.part, accuracy.dimension) == (measured.part, measured.dimension):
             more = accuracy.rms > _most(fit, measured, accuracy) * measured.rms
-            kept = _accuracy_without_outliers(fit, measured, errors, where) if more else None
+            kept = _accuracy_without_outliers(fit, measured, compared) if more else None
             seen.append(SeenUnused(accuracy, kept, not more or kept is not None))
     region = f"at poses like the {fit.identification.data.n_poses} measured"
     return Claim(measured, tuple(seen), _gain(fit, predicted), region, _narrow(fit), partial(_known, fit, measured))
 
 
-def _accuracy_without_outliers(fit: Fit, measured: Accuracy, errors: ErrorSet, where: PoseUse) -> Accuracy | None:
+def _accuracy_without_outliers(fit: Fit, measured: Accuracy, compared: UnusedErrors) -> Accuracy | None:
     """Return the error at unused poses without a few outliers, if the claim holds for them; else None."""
+    where, errors = compared.accuracy.poses, compared.errors
     outliers = findings.validation_outliers if where is PoseUse.VALIDATION else findings.outliers
     gone = {outlier.pose for outlier in outliers(fit)}
     if not 0 < len(gone) <= (1.0 - COVERED) * len(errors.data):
         return None
-    accuracy = accuracy_of_errors(
-        errors_at_visits(errors, np.setdiff1d(np.arange(len(errors.data)), list(gone))), where
-    )
+    kept = np.setdiff1d(np.arange(len(errors.data)), list(gone))
+    accuracy = accuracy_of_errors(errors_at_visits(errors, kept), where)
     lengths = np.sqrt(errors.squares("after"))
     beyond = int(np.sum(lengths > MORE * measured.limit95))
     few = beyond == 0 or scipy.special.bdtrc(beyond - 1, len(lengths), 1.0 - COVERED) >= UNLIKELY
@@ -280,12 +266,13 @@ def is_elsewhere(unlike: BoolArray) -> bool:
     return bool(scipy.special.bdtrc(np.sum(unlike) - 1, len(unlike), APART) < UNLIKELY) if np.any(unlike) else False
 
 
+def known_at_used(fit: Fit) -> float:
+    """Return the root mean square uncertainty of positions at the used poses [m]."""
+    return float(np.sqrt(np.mean(fit.identification_uncertainty.reported_distance**2)))
+
+
 def _known(fit: Fit, measured: Accuracy) -> float:
-    if not measured.is_position:
-        return float("nan")
-    return math.hypot(
-        float(np.sqrt(np.mean(fit.identification_uncertainty.reported_distance**2))), rms_shift_left_out(fit)
-    )
+    return math.hypot(known_at_used(fit), rms_shift_left_out(fit)) if measured.is_position else math.nan
 
 
 def _most(fit: Fit, measured: Accuracy, seen: Accuracy) -> float:
@@ -295,13 +282,12 @@ def _most(fit: Fit, measured: Accuracy, seen: Accuracy) -> float:
 
 
 def _gain(fit: Fit, predicted: ErrorSet) -> Benefit:
-    compared = list(comparisons(fit))
-    if any(comparison.worse for comparison in compared):
-        return Benefit.WORSE
-    if compared:
-        return Benefit.BETTER if any(comparison.better for comparison in compared) else Benefit.NONE
-    change = predicted.squares("after") - predicted.squares("before")
-    return Benefit.WORSE if surely_positive(change) else Benefit.BETTER if surely_positive(-change) else Benefit.NONE
+    compared = comparisons(fit)
+    worse, better = any(each.worse for each in compared), any(each.better for each in compared)
+    if not compared:
+        change = predicted.squares("after") - predicted.squares("before")
+        worse, better = surely_positive(change), surely_positive(-change)
+    return Benefit.WORSE if worse else Benefit.BETTER if better else Benefit.NONE
 
 
 def _narrow(fit: Fit) -> tuple[str, ...]:

@@ -11,8 +11,6 @@ from typing import Self
 from calib.core.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, millimetres, quantity_text
 from calib.core.base.words import joints_named
 
-PARTS_PER_MILLION = 1e6
-
 
 class Trait(Enum):
     """A property that some kinds of effects have."""
@@ -92,23 +90,9 @@ class Kind(StrEnum):
         "{joint} is off by {slope} for each {each} of {other} ({size})",
         Trait.FOLLOWS_JOINTS,
     )
-    WAVE = (
-        "wave",
-        Family.WAVES,
-        "it follows {joint} with {detail}, amplitude {height} ({size})",
-        Trait.BY_THE_DOZEN,
-    )
-    APPROACH = (
-        "approach",
-        Family.SHIFTS,
-        "{joint} differs by {play} with the direction of approach ({size})",
-    )
-    ZERO = (
-        "zero",
-        Family.SHIFTS,
-        "{joint} changes in the course of the measurement ({size})",
-        Trait.IN_COURSE,
-    )
+    WAVE = ("wave", Family.WAVES, "it follows {joint} with {detail}, amplitude {height} ({size})", Trait.BY_THE_DOZEN)
+    APPROACH = ("approach", Family.SHIFTS, "{joint} differs by {play} with the direction of approach ({size})")
+    ZERO = ("zero", Family.SHIFTS, "{joint} changes in the course of the measurement ({size})", Trait.IN_COURSE)
 
     def __new__(cls, name: str, family: Family, sentence: str, *traits: Trait) -> Self:
         """Return a kind with its family, sentence and traits."""
@@ -155,7 +139,7 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
         other=joints_named(pattern.detail),
         shift=millimetres(amount),
         constant="a constant" if isnan(amount) else quantity_text(amount, ERROR_UNIT[pattern.dimension], "+.3g"),
-        ppm=PARTS_PER_MILLION * amount,
+        ppm=1e6 * amount,
         height=quantity_text(abs(amount), DISPLAY_UNIT[joint], ".2g"),
         play=quantity_text(2.0 * abs(amount), DISPLAY_UNIT[joint], ".2g"),
         slope=quantity_text(amount, ERROR_UNIT[joint], "+.2g"),

@@ -1,25 +1,18 @@
 """Effects that a model may leave out, as columns: their parts of the whitened rows of a fit.
 
-All are displacements of the targets through the robot, d(position)/d(joint) with loops closed, or motions of the
-frames that positions are measured in:
+`calib.core.judging.effect_kinds` lists the kinds. Each is a derivative of `calib.core.judging.row_derivatives`, times
+factors of each visit:
 
-    axis, turn, scale      a constant shift, a constant turn of the measurement frame, lengths that are all too long
-    offset, factor         a constant in the readings of one instrument, readings that are too large by a factor
-    drift, turning, growth the same, changing smoothly in the course of the measurement: a tracker or a base that moved,
-                           a robot or an instrument that warms up
-    slip                   a target that sits elsewhere on its link from one visit on
-    link                   a target that moves with a joint that should not move it: one described on another link
-    joint                  each joint off by a smooth curve of its own value (Legendre polynomials of degree 1 to 3 over
-                           the range measured): gear error, lead error, gravity sag
-    wave                   each joint off by a sine of 1 to 120 cycles a turn: the teeth of a gear, an encoder's lines
-    coupling               each joint off in proportion to the value of a neighbour: gears or belts on one shaft
-    approach               each joint off by +-b, by the direction in which it moved last: backlash 2b
-    zero                   each joint off by an error that changes in the course of the measurement: an encoder or a
-                           belt that slipped, warming up
+    drift, turning, growth,  Legendre polynomials of degree 1 to 3 of the course of the measurement: the time, where the
+    zero                     data have it, and else the order of the rows. They explain 86 % of a sudden step
+    joint                    the same of the joint's own value over the range measured: gear error, lead error, sag
+    wave                     cosine and sine of 1 to 120 cycles a turn: the teeth of a gear, an encoder's lines
+    coupling                 the value of a neighbouring joint: gears or belts on one shaft
+    approach                 +-1, by the direction in which the joint moved last: half the backlash
+    slip                     0, and 1 from one visit on
+    all others               1 at each visit
 
-The derivatives are those of `row_derivatives`, times factors of each visit. The course of the measurement is the time,
-where the data have it, and else the order of the rows. A sudden change shows too: a polynomial of degree 3 explains
-86 % of a step. Joints that never moved get no effects.
+Joints that never moved get no effects.
 """
 
 from __future__ import annotations
@@ -30,19 +23,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.memoize import memoize
 from calib.core.base.words import count_noun
 from calib.core.fitting.pose_checks import unmoved_joints
 from calib.core.judging.effect_kinds import Kind
-from calib.core.judging.row_derivatives import (
-    EffectSetting,
-    constants,
-    moved_targets,
-    other_joints,
-    own_scales,
-    scales,
-)
+from calib.core.judging.row_derivatives import EffectSetting, constants, moved_targets, other_joints, own_scales, scales
 from calib.core.robots.terms.periodic import TURN
 
 ORDERS = range(1, 121)
@@ -84,13 +70,9 @@ class Effects:
         return self.by_visit[:, :, number]
 
     def detail(self, numbers: IntArray, gains: FloatArray, row: int, margin: float) -> str:
-        """Return the detail of an effect.
+        """Return the detail of a row of the tested effects.
 
-        Args:
-            numbers: The tested effects, in rising order, (n_tested,).
-            gains: How much of |r|^2 each explains, (n_tested,).
-            row: The row of the effect among these.
-            margin: Difference of gains that noise could have caused.
+        Their `numbers` and `gains` are (n_tested,); noise may make gains differ by `margin`.
         """
         return self.details[numbers[row]]
 
@@ -156,19 +138,17 @@ def wave_orders(phases: FloatArray) -> list[range]:
     """
     few = phases[:: len(phases) // _VISITS_LOOKED_AT + 1]
     common = np.abs(np.mean(powers(np.exp(1j * few), 2 * ORDERS.stop - 1), axis=1)) > _LIKELY
-    return [_orders(phase, same) for phase, same in zip(phases.T, common.T, strict=True)]
-
-
-def _orders(phase: FloatArray, same: BoolArray) -> range:
-    """Orders of one joint; of `same`, numbers of cycles of which all phases may be equal, (n_orders,)."""
-    reach = float(np.ptp(phase))
-    if reach == 0:
-        return range(0)
-    likely = np.flatnonzero(same)
-    likely = likely[likely >= int(np.ceil(TURN / reach - _SAME)) - 1] + 1  # not less than one cycle
-    grid = next((order for order in likely if abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID), 2 * ORDERS.stop)
-    stop = min(int(grid) // 2 + 1, ORDERS.stop)
-    return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), stop), stop)
+    orders = []
+    for phase, same, reach in zip(phases.T, common.T, np.ptp(phases, axis=0).tolist(), strict=True):
+        if reach == 0:
+            orders.append(range(0))
+            continue
+        likely = np.flatnonzero(same)
+        likely = likely[likely >= int(np.ceil(TURN / reach - _SAME)) - 1] + 1  # not less than one cycle
+        grid = next((order for order in likely if abs(np.mean(np.exp(1j * order * phase))) > _ON_GRID), 2 * ORDERS.stop)
+        stop = min(int(grid) // 2 + 1, ORDERS.stop)
+        orders.append(range(min(int(np.ceil(TURN / 2 / reach - _SAME)), stop), stop))
+    return orders
 
 
 @memoize
@@ -204,10 +184,8 @@ def _instrument_effects(setting: EffectSetting) -> Iterator[Effects]:
 def _target_effects(setting: EffectSetting) -> Iterator[Effects]:
     """Targets that slip, at evenly spread visits, and targets that move with other links."""
     order = np.argsort(setting.course, kind="stable")
-    rank = np.empty(len(order), dtype=np.intp)
-    rank[order] = np.arange(len(order))
     firsts = np.unique(np.linspace(0, len(order), SLIPS + 2)[1:-1].astype(np.intp))
-    late = (rank[:, None] >= firsts).astype(float)[:, None]
+    late = (np.argsort(order)[:, None] >= firsts).astype(float)[:, None]
     slips = [f"from {setting.data.labels[order[first]]} on" for first in firsts]
     for target, (own, *others) in moved_targets(setting).items():
         for joint, moved in zip(other_joints(setting.fit.robot, target), others, strict=True):

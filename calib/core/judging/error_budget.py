@@ -5,15 +5,14 @@ J(t) their derivative, and d_k the change of the parameters of cause k. By the c
 
     |e(0)|^2 - |e(1)|^2  =  sum over k of  s_k,        s_k = - integral over t of 2 e(t)^T J_k(t) d_k
 
-which adds up exactly and depends on no order: s_k is the Aumann-Shapley value. Where e is nearly linear in t, it is the
-mean contribution of cause k over all orders of adding the causes (the Shapley value); a single order gives other
-numbers, because causes such as a gain and a length partly explain the same error.
-Three Gauss points integrate it. A part is negative where a cause makes these readings worse.
+which adds up exactly and depends on no order of adding the causes: s_k is the Aumann-Shapley value, nearly the mean
+over all orders (Shapley) where e is nearly linear. Three Gauss points integrate it. A part is negative where a cause
+makes these readings worse.
 
-Before calibration, unknown base and targets are placed as well as possible. These places can absorb a part of the
-change J_k d_k of another cause: its projection on their columns. That part counts as one of the places: a base that
-is lower and a first joint that is higher are the same robot, and the split must not depend on which was found. The
-part of the places is then near zero, because their errors are not in the error before.
+Unknown base and targets are placed as well as possible before calibration, too. They can absorb a part of the change
+J_k d_k of another cause: its projection on their columns. That part counts as one of the places: a base that is lower
+and a first joint that is higher are the same robot, and the split must not depend on which was found. The part of the
+places is then near zero.
 
 On unused readings (validation), s_k is the error that the calibration really removes, and e(1) the rest. On the used
 readings, noise was fitted too: with m rows, leverage h_k of the parameters of cause k (the sum over the rows of
@@ -21,12 +20,12 @@ J_k (K J^T)_k, K the scaled covariance) and s^2 = |e(1)|^2 / (m - sum of h), eve
 and |e(1)|^2 as much too small; this is corrected.
 
 The rest splits into noise and unexplained errors only if the noise is known otherwise: from repeats of poses (which
-contain the robot's repeatability too), or as stated. Noise that was found from the residuals is the whole rest.
+contain the robot's repeatability too), or as stated.
 
 Standard deviations come from the choice of poses (by the sum of each pose, since its repeats share errors). Those of
 causes also come from their parameters (`Fit.uncertainty`): s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own
-parameters) + J^T J_k d_k, with J_k projected if there are places. J^T is taken after calibration (t = 1). There,
-directions that the readings do not determine move no reading. So they do not count, however uncertain they are.
+parameters) + J^T J_k d_k, with J_k projected if there are places. J^T is taken at t = 1, where directions that the
+readings do not determine move no reading: they do not count, however uncertain they are.
 
 When it fails. With few poses the split of the rest is uncertain. Parameters of a named parametrisation all count as
 geometry.
@@ -129,12 +128,11 @@ def error_budget(fit: Fit, causes_by_parameter: Sequence[str]) -> ErrorBudget:
     layout = rows.layout
     counted = np.array([group.part.name == errors.main_part.name for group in layout.groups] + [False])[layout.group]
     before, removed, gradient, pose = _integrate(fit, errors, members, layout, counted)
-    n, width = len(before), int(np.sum(counted))
+    n, n_poses, width = len(before), len(np.unique(pose)), int(np.sum(counted))
     if fit.validation is None:
         leverage = _leverage(rows, unknowns, members, counted)
         left = float(np.sum(before) - np.sum(removed))
         removed = removed - left / max(width - float(np.sum(leverage)), 1.0) * leverage / n
-    rest = before - np.sum(removed, axis=1)
     n_free, known = len(unknowns), fit.uncertainty.covariance_of(fit.robot)
     spread = np.einsum("kf,fg,kg->k", gradient, known[:n_free, :n_free], gradient) / n**2
     shares = [
@@ -144,25 +142,17 @@ def error_budget(fit: Fit, causes_by_parameter: Sequence[str]) -> ErrorBudget:
     typical = np.array([group.typical if group.stated else np.nan for group in layout.groups])
     stated = float(np.sum(typical[layout.group[counted]] ** 2)) / n
     noise, noise_std, source = _noise(errors, stated, width / n)
+    rest = before - np.sum(removed, axis=1)
     left, left_std = float(np.mean(rest)), _std(rest, pose)
     if source:
         beyond = CauseShare(UNEXPLAINED, left - noise, float(np.hypot(left_std, noise_std)))
         shares += [CauseShare(NOISE, noise, noise_std), beyond]
     else:
         shares.append(CauseShare(REST, left, left_std))
-    return ErrorBudget(
-        fit.validation is None,
-        errors.main_part,
-        n,
-        len(np.unique(pose)),
-        float(np.mean(before)),
-        left,
-        tuple(shares),
-        source,
-        _advice(
-            left, noise, shares[-1], source, float(np.hypot(noise_std, noise * np.sqrt(2.0 / len(np.unique(pose)))))
-        ),
-    )
+    by_chance = float(np.hypot(noise_std, noise * np.sqrt(2.0 / n_poses)))
+    advice = _advice(left, noise, shares[-1], source, by_chance)
+    mean = float(np.mean(before))
+    return ErrorBudget(fit.validation is None, errors.main_part, n, n_poses, mean, left, tuple(shares), source, advice)
 
 
 def _integrate(
@@ -170,9 +160,8 @@ def _integrate(
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
     """Integrate over the path from before to after, for parameters of causes (n_causes, n_free) and rows that count.
 
-    Returns:
-        |e(0)|^2 of each reading, (n_readings,); s_k of each, (n_readings, n_causes); the gradient of the sum of s_k by
-        the unknowns, (n_causes, n_free); and the pose of each reading.
+    Returns |e(0)|^2 and s_k of each reading, (n_readings,) and (n_readings, n_causes), the gradient of the sum of s_k
+    by the unknowns, (n_causes, n_free), and the pose of each reading.
     """
     before, after, unknowns = fit.placed, fit.robot, fit.unknowns
     way = after.values - before.values
@@ -183,16 +172,15 @@ def _integrate(
     of_counted = slice(None) if np.all(counted) else counted
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
-        jacobian, residuals = _batches(robot, errors, unknowns, layout)
+        jacobian, residuals = _linear_model(robot, errors, unknowns, layout)
         by_places, moved = _basis(jacobian[of_counted][:, unknowns.placement]), (jacobian @ steps)[of_counted]
         total = np.sum(moved, axis=1)
         absorbed = by_places @ (by_places.T @ total)
         moved -= by_places @ (by_places.T @ moved)
         moved[:, places] += absorbed
         removed[of_counted] -= weight * residuals[of_counted, None] * moved
-        for k, column in enumerate((total - absorbed, absorbed, *moved.T)):
-            pulling[of_counted, k] += weight / 2.0 * column
-    pulled = _batches(after, errors, unknowns, layout)[0][of_counted].T @ pulling[of_counted]
+        pulling[of_counted] += weight / 2.0 * np.column_stack([total - absorbed, absorbed, moved])
+    pulled = _linear_model(after, errors, unknowns, layout)[0][of_counted].T @ pulling[of_counted]
     gradient = members * pulled[:, 0] + pulled[:, 2:].T
     gradient[places] += pulled[:, 1]
     chosen = np.unique(layout.reading[counted])
@@ -202,7 +190,7 @@ def _integrate(
     return sums[:, 0], sums[:, 1:], gradient, layout.pose[chosen]
 
 
-def _batches(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout) -> tuple[FloatArray, FloatArray]:
+def _linear_model(robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout) -> tuple[FloatArray, FloatArray]:
     """Derivative (n_rows, n_free) and residuals (n_rows,) of all rows, of a robot on the path."""
     data = errors.data
     configurations = robot.assemble(data.joints, errors.passive, data.labels, data.conditions)

@@ -20,26 +20,13 @@ from calib.core.judging.acceptance_system import System
 from calib.core.judging.effect_kinds import Kind, Pattern, Trait
 from calib.core.judging.effects import effects
 from calib.core.judging.error_budget import ErrorBudget, causes_of, error_budget, joint_causes
-from calib.core.judging.linear_fit import LinearFit
 from calib.core.judging.promise import Promise
+from calib.core.judging.residual_patterns import LinearFit
 from calib.core.judging.row_derivatives import EffectSetting
-from calib.core.numerics.losses import StudentisedErrors
 from calib.core.numerics.tall import Span
 
 MOST_POSES = 10_000
 """Patterns, scales and causes are judged on at most this many poses: more take time, and hardly change the answer."""
-
-
-@memoize
-def validation_studentised(fit: Fit) -> StudentisedErrors | None:
-    """Return the studentised error of every validation reading, from noise and all uncertainty; None without any."""
-    if fit.validation is None:
-        return None
-    rows = System.from_promise(Promise.from_calibration(fit), fit.validation.data, same_setup=True).rows
-    unused, known = np.zeros(rows.layout.n_readings), np.eye(rows.jacobian.shape[1])
-    return rows.studentise(
-        Span(rows.jacobian, known), unused, fit.statistics.freedom, studentise_errors(fit).scale / noise_factor(fit)
-    )
 
 
 @memoize
@@ -51,18 +38,18 @@ def outliers(fit: Fit) -> tuple[Outlier, ...]:
 @memoize
 def validation_outliers(fit: Fit) -> tuple[Outlier, ...]:
     """Return validation readings further off than noise and uncertainty explain, worst first."""
-    rows, far_off = fit.validation_rows, validation_studentised(fit)
-    if fit.validation is None or rows is None or far_off is None:
+    layout = None if fit.validation_rows is None else fit.validation_rows.layout
+    if fit.validation is None or layout is None:
         return ()
-    return outliers_of(far_off, fit.validation, rows.layout)
+    rows = System.from_promise(Promise.from_calibration(fit), fit.validation.data, same_setup=True).rows
+    span, unused = Span(rows.jacobian, np.eye(rows.jacobian.shape[1])), np.zeros(rows.layout.n_readings)
+    scale = studentise_errors(fit).scale / noise_factor(fit)
+    return outliers_of(rows.studentise(span, unused, fit.statistics.freedom, scale), fit.validation, layout)
 
 
 @memoize
 def excluded_errors(fit: Fit) -> ErrorSet | None:
-    """Return the errors of the readings that were left out as outliers, by the fit without them.
-
-    None if none were left out, or if the robot cannot be assembled at their visits.
-    """
+    """Return the errors of left-out outliers by the fit without them; None without any, or if a loop stays open."""
     if fit.with_all is None:
         return None
     gone = readings_of_outliers(fit.excluded, fit.with_all.rows.layout)
@@ -79,10 +66,9 @@ def sample_of_poses(fit: Fit) -> Fit:
 
 @memoize
 def _fit_of_sample(fit: Fit) -> Fit:
-    """Return the fit of `MOST_POSES` poses; the fit itself where these alone cannot be fitted.
+    """The fit of `MOST_POSES` poses, one from each of equally long stretches; the fit itself where it cannot be made.
 
-    One pose is drawn from each of as many stretches of the measurement, which are equally long; a regular step could
-    meet the same row of a grid again and again.
+    A regular step could meet the same row of a grid again and again.
     """
     data = fit.identification.data
     ends = np.arange(MOST_POSES + 1) * data.n_poses // MOST_POSES
@@ -108,8 +94,7 @@ def linear(fit: Fit) -> LinearFit:
     fit = sample_of_poses(fit)
     rows, known = fit.weighted_rows, fit.statistics
     pose_freedom = np.inf if known.shared_scatter is None else known.shared_scatter.freedom
-    factors = known.factors
-    return LinearFit(rows, rows.span, known.freedom, factors.common, pose_freedom, factors.confirmed)
+    return LinearFit(rows, rows.span, known.freedom, known.factors.common, pose_freedom, known.factors.confirmed)
 
 
 @memoize

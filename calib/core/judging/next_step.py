@@ -86,11 +86,10 @@ def next_step(fit: Fit) -> NextStep:
     open_answers = [answer for answer in answers if answer is not Answer.LOOK and answer not in done]
     if Answer.CORRECT in open_answers:  # other findings come from the mistake
         return _repeat_fit(fit, "correct the data or the description as the reasons say, and fit again")
-    if Answer.ADD_TERMS in open_answers and not has_poses_for_terms(fit.identification.data):
-        open_answers = [Answer.OTHER_POSES if answer is Answer.ADD_TERMS else answer for answer in open_answers]
-    if fit.convergence.receding_parameters:  # from every start
-        open_answers = [Answer.OTHER_POSES if answer is Answer.TRY_STARTS else answer for answer in open_answers]
     first = Answer.LEAVE_OUT if Answer.LEAVE_OUT in open_answers else next(iter(open_answers), None)
+    too_few = first is Answer.ADD_TERMS and not has_poses_for_terms(fit.identification.data)
+    if too_few or (first is Answer.TRY_STARTS and fit.convergence.receding_parameters):  # from every start
+        first = Answer.OTHER_POSES
     if first in _OPTIONS:  # outliers come first: their effects look like noise, and like joint terms
         return _repeat_fit(fit, *_OPTIONS[first], same_noise=first is not Answer.STATE_NOISE)
     if first is Answer.OTHER_POSES:

@@ -44,14 +44,19 @@ class Promise:
         if isinstance(calibrated, Promise):
             return calibrated
         if isinstance(calibrated, Fit):
-            groups, noise = calibrated.whitening.groups, calibrated.reading_noise.tolist()
-            sigma = {(group.name, group.part.name): own for group, own in zip(groups, noise, strict=True)}
-            statistics, known = calibrated.statistics, calibrated.uncertainty
-            shared = 1.0 if statistics.shared_scatter is None else statistics.shared_scatter.ratio
-            data, decided = calibrated.identification.data, statistics.effective_parameters
-            names = tuple(map(str, data.names))
-            promise = Promise(calibrated.robot, known, statistics.freedom, sigma, shared, decided, data.joints, names)
-            return promise.widen(left_out_ratio(calibrated))
+            noise, statistics = calibrated.reading_noise.tolist(), calibrated.statistics
+            groups = zip(calibrated.whitening.groups, noise, strict=True)
+            shared, data = statistics.shared_scatter, calibrated.identification.data
+            return Promise(
+                calibrated.robot,
+                calibrated.uncertainty,
+                statistics.freedom,
+                {(group.name, group.part.name): own for group, own in groups},
+                1.0 if shared is None else shared.ratio,
+                statistics.effective_parameters,
+                data.joints,
+                tuple(map(str, data.names)),
+            ).widen(left_out_ratio(calibrated))
         if isinstance(calibrated, HasPromise):
             return calibrated.promise
         raise InputError(
@@ -68,8 +73,7 @@ class Promise:
     def with_common_error(self, n_rows: int) -> Promise:
         """Return the promise where unexplained errors may be one common error of n rows, though no larger.
 
-        In a region of its own, such an error moves parameters as if they were decided by only as many rows as there are
-        parameters, so only that many rows count. The equations are in `calib.core.judging.acceptance`.
+        See *Unlike poses* in `calib.core.judging.acceptance`.
         """
         decided = max(self.decided, 1.0)
         wider = max((self.freedom + self.decided) / decided, 1.0)

@@ -10,7 +10,7 @@ Reference: iso9283.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -20,7 +20,8 @@ import scipy
 
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.base.units import millimetres
-from calib.core.fitting.error_sets import ErrorSet, repeats
+from calib.core.fitting.error_sets import STATES, ErrorSet, repeats
+from calib.core.instruments.kind import Instrument
 from calib.core.numerics import iso9283
 from calib.core.numerics.iso9283 import CYCLES, Figure
 
@@ -58,8 +59,8 @@ class IsoFigure:
 class PoseScatter:
     """Errors of one instrument at one pose, reading by reading."""
 
-    instrument: str
-    pose: int
+    instrument: Instrument
+    pose: str
     readings: IntArray
     visits: IntArray
     before: FloatArray
@@ -73,15 +74,15 @@ def _pose_scatters(errors: ErrorSet, part_name: str = "") -> list[PoseScatter]:
     for instrument, part, rows in errors.parts():
         if part.name != part_name if part_name else not part.is_position:
             continue
-        all_visits, number = errors.data.readings[instrument.name].visits, numbers[instrument.name][1]
+        name = instrument.name
+        all_visits, number = errors.data.readings[name].visits, numbers[name][1]
         count = np.bincount(number)
         several = np.flatnonzero(count[number] > 1)
         several = several[np.argsort(number[several], kind="stable")]
         for group in np.split(several, np.cumsum(count[count > 1])[:-1]) if len(several) else ():
-            before, after = errors.before[instrument.name][group], errors.after[instrument.name][group]
+            before, after = (state[name][group][:, rows] for state in (errors.before, errors.after))
             visits = all_visits[group]
-            pose = int(errors.data.pose_numbers[visits[0]])
-            result.append(PoseScatter(instrument.name, pose, group, visits, before[:, rows], after[:, rows]))
+            result.append(PoseScatter(instrument, errors.data.names[visits[0]], group, visits, before, after))
     return result
 
 
@@ -92,15 +93,15 @@ def repeat_table(errors: ErrorSet) -> dict[str, Any] | None:
         return None
 
     def summary(lengths: Iterable[float]) -> dict[str, float]:
-        values = np.array([millimetres(length) for length in lengths])
+        values = millimetres(np.array(list(lengths)))
         return {"mean": float(np.mean(values)), "max": float(np.max(values))}
 
     return {
         "n_poses": len({scatter.pose for scatter in several}),
         "n_readings": sum(len(scatter.after) for scatter in several),
         "pose_accuracy": {
-            "before": summary(float(np.linalg.norm(scatter.before.mean(axis=0))) for scatter in several),
-            "after": summary(float(np.linalg.norm(scatter.after.mean(axis=0))) for scatter in several),
+            state: summary(float(np.linalg.norm(getattr(scatter, state).mean(axis=0))) for scatter in several)
+            for state in STATES
         },
         "pose_repeatability": summary(iso9283.repeatability(scatter.after) for scatter in several),
     }
@@ -180,114 +181,100 @@ def iso_figures(errors: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFig
     Args:
         errors: Errors after calibration, prediction minus read.
     """
-    names = dict(zip(errors.data.pose_numbers.tolist(), errors.data.names, strict=True))
-    several = _pose_scatters(errors)
+    several, turned = _pose_scatters(errors), _pose_scatters(errors, "orientation")
     figures: list[IsoFigure] = []
     for scatter in several:
-        label, n = names[scatter.pose], len(scatter.after)
-        figures.append(IsoFigure("AP", label, n, iso9283.pose_accuracy(-scatter.after)))
-        figures.append(IsoFigure("RP", label, n, iso9283.pose_repeatability(-scatter.after, rng)))
-    turned = _pose_scatters(errors, "orientation")
+        off = -scatter.after
+        figures.append(IsoFigure("AP", scatter.pose, len(off), iso9283.pose_accuracy(off)))
+        figures.append(IsoFigure("RP", scatter.pose, len(off), iso9283.pose_repeatability(off, rng)))
     for scatter in turned:
-        for k, axis in enumerate(("rx", "ry", "rz")):
-            label, n = names[scatter.pose], len(scatter.after)
-            figures.append(IsoFigure(f"AP_{axis}", label, n, iso9283.mean_of(-scatter.after[:, k])))
-            figures.append(IsoFigure(f"RP_{axis}", label, n, iso9283.three_deviations(scatter.after[:, k])))
-    figures += _distances(errors, several, names)
-    figures += _directions(errors, several, names)
-    figures += _drifts(errors, several, names, rng)
+        for axis, off in zip(("rx", "ry", "rz"), -scatter.after.T, strict=True):
+            figures += _mean_and_scatter(f"AP_{axis}", f"RP_{axis}", scatter.pose, off)
+    figures += [*_distances(errors, several), *_directions(errors, several), *_drifts(errors, several, rng)]
     return figures, _missing(errors, several, turned, figures)
 
 
-def _distances(errors: ErrorSet, several: list[PoseScatter], names: Mapping[int, str]) -> list[IsoFigure]:
+def _mean_and_scatter(accuracy: str, scatter: str, poses: str, off: FloatArray) -> Iterator[IsoFigure]:
+    yield IsoFigure(accuracy, poses, len(off), iso9283.mean_of(off))
+    yield IsoFigure(scatter, poses, len(off), iso9283.three_deviations(off))
+
+
+def _distances(errors: ErrorSet, several: list[PoseScatter]) -> Iterator[IsoFigure]:
     """AD and RD of the two poses of one instrument that are furthest apart, cycle by cycle."""
-    best: tuple[float, PoseScatter, PoseScatter, FloatArray] | None = None
-    commanded = [_mean_prediction(errors, scatter) for scatter in several]
-    for (a, start), (b, end) in combinations(enumerate(several), 2):
-        apart: FloatArray = commanded[b] - commanded[a]
-        if start.instrument == end.instrument and (best is None or np.linalg.norm(apart) > best[0]):
-            best = float(np.linalg.norm(apart)), start, end, apart
-    if best is None or best[0] == 0:
-        return []
-    _, start, end, apart = best
-    n = min(len(start.after), len(end.after))
-    off = iso9283.distances(-start.after[:n], -end.after[:n], apart)
-    label = f"{names[start.pose]} to {names[end.pose]}"
-    return [
-        IsoFigure("AD", label, n, iso9283.mean_of(off)),
-        IsoFigure("RD", label, n, iso9283.three_deviations(off)),
+    middles = [_mean_prediction(errors, scatter) for scatter in several]
+    pairs = [
+        (middles[b] - middles[a], start, end)
+        for (a, start), (b, end) in combinations(enumerate(several), 2)
+        if start.instrument is end.instrument
     ]
+    apart, start, end = max(pairs, key=lambda pair: np.linalg.norm(pair[0]), default=(np.zeros(3), None, None))
+    if start is not None and end is not None and np.any(apart):
+        n = min(len(start.after), len(end.after))
+        off = iso9283.distances(-start.after[:n], -end.after[:n], apart)
+        yield from _mean_and_scatter("AD", "RD", f"{start.pose} to {end.pose}", off)
 
 
 def _mean_prediction(errors: ErrorSet, scatter: PoseScatter) -> FloatArray:
-    instrument = next(i for i in errors.instruments if i.name == scatter.instrument)
-    read = instrument.points(errors.data.readings[scatter.instrument].values[scatter.readings])
+    name = scatter.instrument.name
+    read = scatter.instrument.points(errors.data.readings[name].values[scatter.readings])
     if read is None:
-        raise TypeError(f"'{scatter.instrument}' reads positions, but shows no points")
+        raise TypeError(f"'{name}' reads positions, but shows no points")
     return np.asarray((read + scatter.after).mean(axis=0))
 
 
-def _directions(errors: ErrorSet, several: list[PoseScatter], names: Mapping[int, str]) -> list[IsoFigure]:
+def _directions(errors: ErrorSet, several: list[PoseScatter]) -> Iterator[IsoFigure]:
     """The vAP of every pose that was reached from several directions, if the file states these."""
-    if errors.data.approach is None:
-        return []
-    result = []
+    approach = errors.data.approach
+    if approach is None:
+        return
     for scatter in several:
-        _, number = np.unique(errors.data.approach[scatter.visits], axis=0, return_inverse=True)
+        _, number = np.unique(approach[scatter.visits], axis=0, return_inverse=True)
         groups = [-scatter.after[number.reshape(-1) == k] for k in range(int(number.max()) + 1)]
         groups = [group for group in groups if len(group) > 1]
         if len(groups) > 1:
             n = min(len(group) for group in groups)
-            result.append(IsoFigure("vAP", names[scatter.pose], n, iso9283.direction_variation(groups)))
-    return result
+            yield IsoFigure("vAP", scatter.pose, n, iso9283.direction_variation(groups))
 
 
-def _drifts(
-    errors: ErrorSet, several: list[PoseScatter], names: Mapping[int, str], rng: np.random.Generator
-) -> list[IsoFigure]:
+def _drifts(errors: ErrorSet, several: list[PoseScatter], rng: np.random.Generator) -> Iterator[IsoFigure]:
     """Both dAP and dRP of every pose with several blocks of cycles, where the file has a time."""
-    time, result = errors.data.context.get("time"), []
+    time = errors.data.context.get("time")
     if time is None or not np.all(np.isfinite(time)):
-        return []
+        return
     for scatter in several:
         n_blocks = len(scatter.after) // _BLOCK
         if n_blocks > 1:
             order = np.argsort(time[scatter.visits], kind="stable")[: n_blocks * _BLOCK]
             figures = iso9283.drift(np.split(-scatter.after[order], n_blocks), rng)
             for name, figure in zip(("dAP", "dRP"), figures, strict=True):
-                result.append(IsoFigure(name, names[scatter.pose], _BLOCK, figure))
-    return result
+                yield IsoFigure(name, scatter.pose, _BLOCK, figure)
 
 
 def _missing(
     errors: ErrorSet, several: list[PoseScatter], turned: list[PoseScatter], figures: list[IsoFigure]
 ) -> list[str]:
-    cycles = [len(scatter.after) for scatter in several]
-    result = []
     if not several:
         return [
             "no pose was read more than once: AP, RP, AD, RD are not known; give rows that repeat a pose the same name"
         ]
-    if len(several) != _FIVE:
-        result.append(f"{len(several)} repeated poses where ISO 9283 has five")
-    if min(cycles) < CYCLES:
-        result.append(f"{min(cycles)} cycles of a pose where ISO 9283 has {CYCLES}")
-    if doubt := doubtful_repeats(errors):
-        result.append(doubt)
-    if not turned:
-        result.append("no orientation was read: no AP and RP of angles")
-    present = {figure.name for figure in figures}
-    if "vAP" not in present:
-        result.append("no vAP: it needs cycles from several directions, and columns approach_<joint> that state these")
-    time = errors.data.context.get("time")
-    if "dAP" not in present:
-        result.append(
-            f"no drift: it needs a column 'time', and {2 * _BLOCK} or more cycles of a pose over {_HOURS:g} h"
-        )
-    elif time is not None and np.ptp(time) < _HOURS * _SECONDS:
-        result.append(f"drift over {np.ptp(time) / _SECONDS:.1f} h where ISO 9283 has {_HOURS:g} h")
-    stated = conditions(errors.data.comments)
-    unstated = [key for key in CONDITIONS if key not in stated]
-    if unstated:
-        result.append(f"conditions not stated: {', '.join(unstated)} (a comment line such as '# load: 5 kg')")
-    return result
+    time, present = errors.data.context.get("time"), {figure.name for figure in figures}
+    cycles, hours = min(len(scatter.after) for scatter in several), 0.0 if time is None else np.ptp(time) / _SECONDS
+    doubt, stated = doubtful_repeats(errors), conditions(errors.data.comments)
+    unstated = ", ".join(key for key in CONDITIONS if key not in stated)
+    lines = (
+        (len(several) != _FIVE, f"{len(several)} repeated poses where ISO 9283 has five"),
+        (cycles < CYCLES, f"{cycles} cycles of a pose where ISO 9283 has {CYCLES}"),
+        (doubt, doubt),
+        (not turned, "no orientation was read: no AP and RP of angles"),
+        (
+            "vAP" not in present,
+            "no vAP: it needs cycles from several directions, and columns approach_<joint> that state these",
+        ),
+        (
+            "dAP" not in present,
+            f"no drift: it needs a column 'time', and {2 * _BLOCK} or more cycles of a pose over {_HOURS:g} h",
+        ),
+        ("dAP" in present and hours < _HOURS, f"drift over {hours:.1f} h where ISO 9283 has {_HOURS:g} h"),
+        (unstated, f"conditions not stated: {unstated} (a comment line such as '# load: 5 kg')"),
+    )
+    return [text for is_missing, text in lines if is_missing]

@@ -7,25 +7,20 @@ change of the measured rows) the linear model r = J du + Z c is compared with th
     gain = r^T Z (Z^T M Z)^-1 Z^T r                    by how much |r|^2 would fall
     F = (gain / k) / ((|r|^2 - gain) / (nu - k))       against F(k, nu - k), k columns left after M
 
-The effects are those of `calib.core.judging.effects`. An effect that the fit absorbs (a constant shift, where the base
-is free) is invisible and not tested: `visible` gives the size at which it would show. Effects come in families of
-kinds, which share the chance of a false finding evenly; in a family, the chance of each finding is multiplied by the
-number of its tests. A finding needs a chance below 1 % over all families, and an effect of at least a tenth of the
-noise: enough data make any trifle significant. Where poses scatter more than independent readings
-(`calib.core.numerics.clusters`), F is divided by the excess scatter of the effect's score, summed pose by pose, and nu
-is that of this scatter. A fit follows each pose a little, so that its residuals scatter too little. So a finding must
-also hold with other residuals: those of each pose if fit and effect are found from all other poses. Of waves and of
-slips, which are tried by the dozen for each joint or target, the best is kept.
-
-The direction of approach and, without a time, the course of the measurement come from the order of the rows in the data
-file, which must be the order of measurement.
+An effect that the fit absorbs (a constant shift, where the base is free) is invisible and not tested. Families of kinds
+share the chance of a false finding evenly; in a family, the chance of each finding is multiplied by the number of its
+tests. A finding needs a chance below 1 % over all families, and an effect of at least a tenth of the noise: enough data
+make any trifle significant. Where poses scatter more than independent readings (`calib.core.numerics.clusters`), F is
+divided by the excess scatter of the effect's score, summed pose by pose, and nu is that of this scatter. A fit follows
+each pose a little, so that its residuals scatter too little. So a finding must also hold with other residuals: those of
+each pose if fit and effect are found from all other poses.
 
 Many effects at once. A test needs only Z^T Z, (J T)^T Z with the span J T of the fit, and Z^T r. The effects of a
 joint, a target or a frame have the columns of one base times factors of each visit, such as sin(k q_i) and cos(k q_i)
 of a wave. So the sums over the rows of a visit are computed once for each base and serve all its effects.
 
-When it fails. Effects of other shapes stay in the noise; two effects that look alike at the measured poses are both
-named. F supposes normal noise.
+When it fails. Without a time, the order of the rows in the data file must be that of the measurement. Effects of other
+shapes stay in the noise; two effects that look alike at the measured poses are both named. F supposes normal noise.
 
 Reference: cook1982, chapter 2.4 (added variables), and 3 (residuals without the pose that is judged).
 """
@@ -33,7 +28,8 @@ Reference: cook1982, chapter 2.4 (added variables), and 3 (residuals without the
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -41,13 +37,17 @@ import scipy
 from calib.core.base.arrays import FloatArray, IntArray
 from calib.core.judging.effect_kinds import Family, Kind, Pattern, Trait
 from calib.core.judging.effects import Effects, effects
-from calib.core.judging.linear_fit import ABSORBED, LinearFit
 from calib.core.judging.row_derivatives import EffectSetting
 from calib.core.numerics import linalg
 from calib.core.numerics.chances import EXACT, FALSE_ALARM
-from calib.core.numerics.clusters import shifts_without_block
-from calib.core.numerics.tall import KEPT, slices
+from calib.core.numerics.clusters import blocks_of_equal_length, shifts_without_block
+from calib.core.numerics.tall import KEPT, Span, slices
+from calib.core.rows.rows import Rows
 
+ABSORBED = 1e-6
+"""An effect is visible if at least this part of its square remains after the fit."""
+_SURELY = 5.0  # an effect of so many standard deviations is found nine times of ten, although many are tested
+_ROUNDING = 1e-10  # part of a square below which nothing remains
 SMALLEST_EFFECT = 0.1
 """An effect counts as a finding if its root mean square is more than this part of the noise."""
 _NUMBERS_AT_ONCE = 1 << 24  # largest size of the array of what findings explain
@@ -57,33 +57,85 @@ _ALIKE = 9.2  # times the noise squared: chance makes a sine and cosine explain 
 
 
 @dataclass(frozen=True, eq=False)
-class _Moments:
-    """Products of m effects with k columns Z each, for their tests.
+class LinearFit:
+    """A finished fit as a linear model.
 
     Attributes:
-        effects: Some effects, with their numbers of effects.
-        squares: Z^T Z, (m, k, k).
-        left: Z^T M Z, (m, k, k).
-        score: Z^T r, (m, k).
+        rows: Its whitened rows, with the weights of a robust loss.
+        span: J T, the directions that the fit absorbs, (n_rows, rank), with T of `calib.core.numerics.observability`.
+        factor: Found over assumed noise.
+        pose_freedom: Degrees of freedom of the scatter of poses, where they scatter more than independent readings;
+            else infinite.
+        confirmed: Degrees of freedom among `freedom` that confirmed the noise before, as `Factors` has them.
     """
 
-    effects: Sequence[tuple[Effects, int]]
-    squares: FloatArray
-    left: FloatArray
-    score: FloatArray
+    rows: Rows
+    span: Span
+    freedom: float
+    factor: float
+    pose_freedom: float
+    confirmed: float
+
+    def after_fit(self, effect: FloatArray) -> FloatArray:
+        """Return M Z, the remainder of effects Z (n_rows, n_effects) in the residuals, (n_rows, n_effects)."""
+        return effect - self.span.times(self.span.transposed_product(effect))
+
+    def with_parameters(self, effects: FloatArray) -> LinearFit:
+        """Return the fit with effects Z (n_rows, k) as further parameters, as far as they are visible."""
+        columns, left, values, vectors = self._unit_effects(effects[:, np.any(effects != 0.0, axis=0)])
+        seen = values > ABSORBED
+        root = vectors[:, seen] / np.sqrt(values[seen])
+        absorbed, fewer = left @ root, int(np.sum(seen))
+        residuals = self.rows.residuals - absorbed @ (root.T @ (columns.T @ self.rows.residuals))
+        return replace(
+            self,
+            rows=replace(self.rows, residuals=residuals),
+            span=self.span.with_columns(absorbed),
+            freedom=self.freedom - fewer,
+            pose_freedom=self.pose_freedom - fewer,
+        )
+
+    def sizes(self, effects: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the sizes (k,) of effects Z (n_rows, k) if all of them were parameters, and their standard deviations.
+
+        Deviations are infinite for zero columns, and where all effects together leave no degree of freedom. An absorbed
+        effect is uncertain and gets the size 0, since the residuals along it are only rounding of the solver.
+        """
+        made = np.flatnonzero(np.any(effects != 0.0, axis=0))
+        columns, left, values, vectors = self._unit_effects(effects[:, made])
+        inverse, seen = vectors / (values + ABSORBED) @ vectors.T, vectors[:, values > ABSORBED]
+        found = -inverse @ (seen @ (seen.T @ (columns.T @ self.rows.residuals)))
+        freedom, size = self.freedom - len(made), np.linalg.norm(effects[:, made], axis=0)
+        rest = np.sum((self.rows.residuals + left @ found) ** 2) + self.confirmed
+        scatter = np.sqrt(rest / freedom) if freedom > 0 else np.inf
+        sizes, deviations = np.zeros(effects.shape[1]), np.full(effects.shape[1], np.inf)
+        sizes[made], deviations[made] = found / size, scatter * np.sqrt(np.diag(inverse)) / size
+        return sizes, deviations
+
+    def _unit_effects(self, effects: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Effects of length 1, what the fit leaves of them, and the eigenvalues and eigenvectors of their product."""
+        columns = effects / np.linalg.norm(effects, axis=0)
+        left = self.after_fit(columns)
+        return columns, left, *linalg.eigh(columns.T @ left)
+
+    @cached_property
+    def square(self) -> float:
+        """Sum of squares of the residuals, and of those that confirmed the noise."""
+        return float(np.sum(self.rows.residuals**2)) + self.confirmed
+
+    def visible(self, column: FloatArray) -> float:
+        """Return the least effect of a column (n_rows, 1) that the residuals show; infinite if they never do."""
+        square = float(np.sum(column**2))
+        left = float(np.sum(column * self.after_fit(column)))
+        return _SURELY * self.factor / float(np.sqrt(left)) if left > _ROUNDING * square else float("inf")
 
 
 @dataclass(frozen=True, eq=False)
 class _EffectTests:
-    """Results of the tests of m effects with k columns each.
+    """Results of the tests of m effects with k columns each: the tested `numbers` of the effects of one name.
 
-    Attributes:
-        effects: Effects of one kind and name.
-        numbers: Their numbers, (m,).
-        ratios: F of the module docstring, (m,).
-        ranks: Columns left after M, (m,).
-        gains: Decrease of |r|^2, (m,).
-        coefficients: c, (m, k).
+    `ratios` are F of the module docstring, `ranks` the columns left after M, `gains` the decrease of |r|^2, (m,) each,
+    and `coefficients` are c, (m, k).
     """
 
     effects: Effects
@@ -149,37 +201,41 @@ def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
     return list(kept.values())
 
 
-def _moments(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_Moments]:
-    """Yield the moments of effects, those with equally many columns together; see the module docstring."""
+def _moments(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Yield Z^T Z and Z^T M Z, (m, k, k), and Z^T r, (m, k), of the m effects with k columns of each of some."""
     span, bases = residuals.span, {id(effect.base): effect.base for effect in some}
     tall, n = len(span) > KEPT, len(span.root)  # then J T is not stored: it is computed from sums over rows
     known = [span[:]] if not tall else [span.jacobian] if span.more is None else [span.jacobian, span.more]
     ends = np.cumsum([base.shape[1] for base in bases.values()])[:-1]
-    squares: list[FloatArray] = [np.zeros(1)] * len(some)
-    products: list[FloatArray] = [np.zeros(1)] * len(some)
     numbers = sum(base.shape[1] for base in bases.values()) * (1 + sum(other.shape[1] for other in known))
     at_once = min(max(_SUMS_AT_ONCE // max(numbers, 1), 1), _VISITS_AT_ONCE)
-    for rows, firsts, visits in _visits_together(some[0].visit, at_once) if some else ():
-        own = [base[rows] for base in bases.values()]
-        others = np.hstack([residuals.rows.residuals[rows, None], *(other[rows] for other in known)])
-        further = dict(zip(bases, np.split(_sums_of_visits(np.hstack(own), others, firsts), ends, axis=1), strict=True))
-        between = {key: _sums_of_visits(base, base, firsts) for key, base in zip(bases, own, strict=True)}
+    squares: list[FloatArray] = [np.zeros(1)] * len(some)
+    products: list[FloatArray] = [np.zeros(1)] * len(some)
+    for rows in _rows_of_visits(some[0].visit, at_once) if some else ():
+        visits, own = some[0].visit[rows[:, 0]], [base[rows].transpose(0, 2, 1) for base in bases.values()]
+        others = np.concatenate([residuals.rows.residuals[rows][:, :, None], *(other[rows] for other in known)], axis=2)
+        further = np.split(np.matmul(np.concatenate(own, axis=1), others), ends, axis=1)
+        sums = {
+            key: (np.matmul(b, b.transpose(0, 2, 1)), more) for key, b, more in zip(bases, own, further, strict=True)
+        }
         for k, effect in enumerate(some):
-            factors, square, product = effect.factors(visits), between[id(effect.base)], further[id(effect.base)]
+            factors, (square, product) = effect.factors(visits), sums[id(effect.base)]
             squares[k] = squares[k] + _squares(square, factors)
             each = product.reshape(len(visits), -1).T @ factors.reshape(len(visits), -1)
             products[k] = products[k] + each.reshape(*product.shape[1:], *factors.shape[1:])
-    by_width: dict[int, list[tuple[Effects, FloatArray, FloatArray, FloatArray]]] = {}
-    for effect, square, product in zip(some, squares, products, strict=True):
+    for square, product in zip(squares, products, strict=True):
         moments = product.swapaxes(0, 1).reshape(-1, square.shape[1], len(square))
-        score, absorbed = moments[0].T, moments[1:]
+        absorbed = moments[1:]
         if tall:
             absorbed = np.concatenate([np.tensordot(span.root.T, absorbed[:n], 1), absorbed[n:]])
-        left = square - np.einsum("rim,rjm->mij", absorbed, absorbed)
-        by_width.setdefault(square.shape[1], []).append((effect, square, left, score))
-    for alike in by_width.values():
-        arrays = (np.concatenate([each[k] for each in alike]) for k in (1, 2, 3))
-        yield _Moments([(effect, len(score)) for effect, _, _, score in alike], *arrays)
+        yield square, square - np.einsum("rim,rjm->mij", absorbed, absorbed), moments[0].T
+
+
+def _rows_of_visits(visit: IntArray, at_once: int) -> Iterator[IntArray]:
+    """Yield rows of at most `at_once` visits with equally many rows, (n_visits, n_rows_of_each)."""
+    for every in blocks_of_equal_length(visit):
+        for part in slices(len(every), at_once):
+            yield every[part]
 
 
 def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:
@@ -188,61 +244,32 @@ def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:
     return (sums.reshape(n, -1).T @ both).reshape(b, b, f, f, m).transpose(4, 0, 2, 1, 3).reshape(m, b * f, b * f)
 
 
-def _visits_together(visit: IntArray, at_once: int) -> Iterator[tuple[IntArray | slice, IntArray | int, IntArray]]:
-    """Yield rows of some visits, those of a visit together; where each begins among them, and the visits.
-
-    Where all visits have equally many rows, this number takes the place of where they begin.
-    """
-    order: IntArray | None = None if np.all(visit[1:] >= visit[:-1]) else np.argsort(visit, kind="stable")
-    arranged = visit if order is None else visit[order]
-    firsts = np.flatnonzero(np.append(True, arranged[1:] != arranged[:-1]))
-    for k in range(0, len(firsts), at_once):
-        some = firsts[k : k + at_once]
-        last = firsts[k + at_once] if k + at_once < len(firsts) else len(visit)
-        rows, lengths = slice(int(some[0]), int(last)), np.diff(some, append=last)
-        firsts_or_length = int(lengths[0]) if np.all(lengths == lengths[0]) else some - some[0]
-        yield rows if order is None else order[rows], firsts_or_length, arranged[some]
-
-
-def _sums_of_visits(base: FloatArray, others: FloatArray, firsts: IntArray | int) -> FloatArray:
-    """Return B^T times others, summed over the rows of each visit, (n_visits, b, k).
-
-    Args:
-        base: B of rows of visits, one visit after the other, (n, b).
-        others: Columns of these rows, (n, k).
-        firsts: First row of each visit, (n_visits,), or number of rows of every visit.
-    """
-    if isinstance(firsts, int):  # without the products: a tenth of the time
-        each = base.reshape(-1, firsts, base.shape[1]).transpose(0, 2, 1)
-        return np.matmul(each, others.reshape(-1, firsts, others.shape[1]))
-    result = np.empty((len(firsts), base.shape[1], others.shape[1]))
-    for k, column in enumerate(base.T):  # all products at once take much memory
-        result[:, k] = np.add.reduceat(column[:, None] * others, firsts)
-    return result
-
-
 def _tests(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_EffectTests]:
     """Test effects, all with equally many columns at once; not absorbed ones, nor without a degree of freedom left."""
-    for moments in _moments(residuals, some):
-        size = np.sqrt(np.diagonal(moments.squares, axis1=1, axis2=2))
+    by_width: dict[int, list[tuple[Effects, FloatArray, FloatArray, FloatArray]]] = {}
+    for effect, moments in zip(some, _moments(residuals, some), strict=True):
+        by_width.setdefault(moments[0].shape[1], []).append((effect, *moments))
+    for alike in by_width.values():
+        squares, left, score = (np.concatenate([each[k] for each in alike]) for k in (1, 2, 3))
+        size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
         shown = np.all(size > 0, axis=1)
         size = np.where(shown[:, None], size, 1.0)
-        values, vectors = linalg.eigh(moments.left / (size[:, :, None] * size[:, None, :]))
+        values, vectors = linalg.eigh(left / (size[:, :, None] * size[:, None, :]))
         determined = values > ABSORBED
-        score = np.where(determined, np.einsum("mi,mij->mj", moments.score / size, vectors), 0.0)
+        score = np.where(determined, np.einsum("mi,mij->mj", score / size, vectors), 0.0)
         along = score / np.where(determined, values, 1.0)
         gains, k = np.sum(score * along, axis=1), np.sum(determined, axis=1)
         coefficients = np.einsum("mij,mj->mi", vectors, along) / size
-        rows = np.flatnonzero(shown & (k > 0) & (residuals.freedom - k >= 1))
-        k, freedom_left, gains = k[rows], residuals.freedom - k[rows], gains[rows]
-        rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / freedom_left
-        found = np.maximum(gains / k / rest, 0.0), k, gains, coefficients[rows]
-        ends = np.cumsum([count for _, count in moments.effects])
-        stops = np.searchsorted(rows, ends).tolist()
-        for (effect, count), end, start, stop in zip(moments.effects, ends, [0, *stops], stops, strict=False):
-            if start < stop:
-                each = (array[start:stop] for array in found)
-                yield _EffectTests(effect, rows[start:stop] - (end - count), residuals.freedom, *each)
+        tested = shown & (k > 0) & (residuals.freedom - k >= 1)
+        rest = np.maximum(residuals.square - gains, 1e-12 * residuals.square) / np.where(
+            tested, residuals.freedom - k, 1
+        )
+        ratios = np.maximum(gains / np.maximum(k, 1) / rest, 0.0)
+        ends = np.cumsum([len(each[3]) for each in alike])[:-1]
+        parts = (np.split(array, ends) for array in (tested, ratios, k, gains, coefficients))
+        for (effect, *_), use, *found in zip(alike, *parts, strict=True):
+            if np.any(use):
+                yield _EffectTests(effect, np.flatnonzero(use), residuals.freedom, *(array[use] for array in found))
 
 
 def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: FloatArray, limit: float) -> float:

@@ -1,7 +1,7 @@
 """Joint values that were rounded: visible in their digits, and in the scatter of residuals.
 
 Values in steps of s are off by up to s/2, with a standard deviation of s / sqrt(12), if they were rounded; not at all,
-if the robot was commanded to round values. Digits do not distinguish these. Residuals may: rounding scatters the target
+if the robot was commanded to round values. Residuals may distinguish these: rounding scatters the target
 along the motion of the joints, further where the arm is longer. With A_v the effect of rounding on the rows of visit v
 (one column for each joint, each times s / sqrt(12)), Q = diag(A_v A_v^T), and r = M e (e normal noise of variance f^2,
 M the remainder after a fit; see `calib.core.judging.residual_patterns`),
@@ -54,12 +54,9 @@ def rounding(fit: Fit) -> tuple[str, float, float] | None:
 def joint_steps(robot: Robot, joints: FloatArray) -> FloatArray:
     """Return the step between all values (n, n_actuated) of each joint, (n_actuated,) [m or rad]; 0 for none."""
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
-    return np.array([_step(values, dimension) for values, dimension in zip(joints.T, dimensions, strict=True)])
-
-
-def _step(values: FloatArray, dimension: Dimension) -> float:
-    """The largest usual step between some values (n,) [m or rad]; 0 for none."""
-    return max(usual_step(values * PER_SI[dimension][unit]) / PER_SI[dimension][unit] for unit in _UNITS[dimension])
+    scales = [[PER_SI[dimension][unit] for unit in _UNITS[dimension]] for dimension in dimensions]
+    columns = zip(joints.T, scales, strict=True)
+    return np.array([max(usual_step(values * scale) / scale for scale in units) for values, units in columns])
 
 
 def usual_step(numbers: FloatArray) -> float:
@@ -77,11 +74,9 @@ def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:
     """Return the part of the noise variance that joints with this scatter (n_actuated,) make, and the chance of T."""
     linear, setting = findings.linear(fit), findings.setting(fit)
     by_joint = setting.joint_columns * scatter
-    visit = setting.visit
-    mean = square = statistic = 0.0
+    mean = square = statistic = twice = 0.0
     through = np.zeros((linear.span.shape[1], linear.span.shape[1]))
-    twice = 0.0
-    for rows in blocks_of_equal_length(visit):  # some visits, (n_visits, n_rows_of_each)
+    for rows in blocks_of_equal_length(setting.visit):  # some visits, (n_visits, n_rows_of_each)
         across = by_joint[rows].transpose(0, 2, 1)
         ap, aa = np.matmul(across, linear.span[rows]), np.matmul(across, across.transpose(0, 2, 1))
         statistic += float(np.sum(np.matmul(across, linear.rows.residuals[rows][:, :, None]) ** 2))

@@ -1,9 +1,8 @@
 """Derivatives of the whitened rows of a fit, by errors that its model may leave out.
 
 All are displacements of the targets through the robot, d(position)/d(joint) with loops closed, or motions of the
-frames that positions are measured in, sizes of lengths, and constants and factors in the readings of instruments.
-`effects` multiplies them by their course over the visits. Turns and scales are taken about the middle of the points, so
-that they contain no shifts.
+frames that positions are measured in, sizes of lengths, and constants and factors in the readings of instruments. Turns
+and scales are taken about the middle of the points, so that they contain no shifts.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.memoize import memoize
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
-from calib.core.instruments.kind import Comparison, FrameInstrument, Instrument, Part, Readings, View
+from calib.core.instruments.kind import Comparison, FrameInstrument, Part, Readings, View
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import relative_poses
 from calib.core.robots.robot import Robot
@@ -76,6 +75,12 @@ class EffectSetting:
     def course(self) -> FloatArray:
         """Time of each visit, (n_visits,): its time [s], where all have it, else the order of the rows."""
         return np.asarray(self.data.context["time"] if has_time(self.data) else self.data.places, dtype=float)
+
+    @cached_property
+    def position_rows(self) -> dict[str, IntArray]:
+        """Rows of the position, (3,), in a reading of each instrument that measures one in space."""
+        parts = self.fit.identification.parts()
+        return {instrument.name: rows for instrument, part, rows in parts if part.is_position and len(rows) == 3}
 
     @cached_property
     def first(self) -> int:
@@ -144,28 +149,26 @@ def _change_by_angles(setting: EffectSetting, name: str, rows: BoolArray) -> Flo
 def _parts(setting: EffectSetting) -> Iterator[tuple[str, Part, int, BoolArray]]:
     """Yield instrument, part, its group, and which rows of a reading are its own, (n_rows,)."""
     groups = [(group.name, group.part) for group in setting.fit.whitening.groups]
-    for name in setting.data.readings:
-        instrument = setting.fit.robot.instrument(name)
-        for number, part in enumerate(instrument.parts):
-            yield name, part, groups.index((instrument.group, part)), np.equal(instrument.part_of_row, number)
+    for instrument, part, rows in setting.fit.identification.parts():
+        group, own = groups.index((instrument.group, part)), np.isin(np.arange(instrument.n_rows), rows)
+        yield instrument.name, part, group, own
 
 
 def _whitened_alone(setting: EffectSetting, name: str, change: FloatArray) -> FloatArray:
-    robot, arrays = setting.fit.robot, dict[str, FloatArray]()
-    for other, read in setting.data.readings.items():
-        shape = len(read), robot.instrument(other).n_rows, change.shape[2]
-        arrays[other] = np.broadcast_to(change, shape) if other == name else np.zeros(shape)
-    return setting.whiten(arrays)
+    changes = _no_change(setting, change.shape[2])
+    changes[name][:] = change
+    return setting.whiten(changes)
+
+
+def _no_change(setting: EffectSetting, count: int) -> dict[str, FloatArray]:
+    read, robot = setting.data.readings, setting.fit.robot
+    return {name: np.zeros((len(own), robot.instrument(name).n_rows, count)) for name, own in read.items()}
 
 
 def errors_in_links(setting: EffectSetting, residuals: FloatArray) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
     """Yield rows of the positions of each instrument, the axes of the target's link there, and errors along these.
 
-    Args:
-        residuals: Whitened residuals, (n_rows,).
-
-    Returns:
-        Rows, (n, 3); axes in the measurement frame, (n, 3, 3); errors over the standard deviation of a row, (n, 3).
+    Rows are (n, 3), axes in the measurement frame (n, 3, 3), and errors (n, 3), by whitened residuals (n_rows,).
     """
     for name, target, of_position in seen_targets(setting):
         own = setting.fit.whitening.layout.rows_of(name)
@@ -181,10 +184,6 @@ def gains(setting: EffectSetting) -> FloatArray:
     return setting.joint_columns * (setting.data.joints - np.mean(setting.data.joints, axis=0))[setting.visit]
 
 
-def _position_rows(instrument: Instrument) -> list[int]:
-    return [k for k, part in enumerate(instrument.part_of_row) if instrument.parts[part].is_position]
-
-
 @memoize
 def _frame_derivative(setting: EffectSetting) -> dict[str, FloatArray]:
     """Derivative of readings by shifts along x, y, z, turns about them, and sizes of lengths, (n, n_rows, 10) each.
@@ -192,16 +191,14 @@ def _frame_derivative(setting: EffectSetting) -> dict[str, FloatArray]:
     The sizes are those of all lengths (`length_derivative`), positions from the middle of the points, and of positions
     along x, y and z. Along one axis they are as predicted: those of a planar robot would be noise alone.
     """
-    result, points, fit, robot = dict[str, FloatArray](), _points(setting), setting.fit, setting.fit.robot
+    result, points, fit, robot = _no_change(setting, 10), _points(setting), setting.fit, setting.fit.robot
     others = {k: own for k, own in setting.data.readings.items() if k not in points or robot.instrument(k).n_rows > 3}
     lengths = length_derivative(robot, fit.configurations, others) if others else {}  # those of points are replaced
-    for name, readings in setting.data.readings.items():
-        instrument = robot.instrument(name)
-        result[name] = columns = np.zeros((len(readings), instrument.n_rows, 10))
-        rows = _position_rows(instrument)
+    for name, columns in result.items():
         columns[:, :, 6] = lengths.get(name, 0.0)
-        if len(rows) == 3:
-            columns[:, rows, :3] = np.eye(3)
+    for name, rows in setting.position_rows.items():
+        columns = result[name]
+        columns[:, rows, :3] = np.eye(3)
         if name in points:
             columns[:, rows, 3:6] = np.cross(points[name][:, None], np.eye(3)).swapaxes(1, 2)
             columns[:, rows, 6] = points[name]
@@ -239,9 +236,9 @@ def length_derivative(
 def _points(setting: EffectSetting) -> dict[str, FloatArray]:
     """Points that were read, from the middle of all, (n, 3) [m] of each instrument that measures positions."""
     result = {}
-    for name, readings in setting.data.readings.items():
-        points = setting.fit.robot.instrument(name).points(readings.values)
-        if points is not None and len(points) and len(_position_rows(setting.fit.robot.instrument(name))) == 3:
+    for name in setting.position_rows:
+        points = setting.fit.robot.instrument(name).points(setting.data.readings[name].values)
+        if points is not None and len(points):
             result[name] = points
     if not result:
         return {}
@@ -249,12 +246,11 @@ def _points(setting: EffectSetting) -> dict[str, FloatArray]:
     return {name: np.nan_to_num(points - middle) for name, points in result.items()}
 
 
-def seen_targets(setting: EffectSetting) -> Iterator[tuple[str, str, list[int]]]:
-    """Yield each instrument that measures the position of a target, its target and the rows of the position."""
-    for name in setting.data.readings:
+def seen_targets(setting: EffectSetting) -> Iterator[tuple[str, str, IntArray]]:
+    """Yield each instrument that measures the position of a target, its target and the rows of the position, (3,)."""
+    for name, rows in setting.position_rows.items():
         instrument = setting.fit.robot.instrument(name)
-        rows = _position_rows(instrument)
-        if len(rows) == 3 and isinstance(instrument, FrameInstrument):
+        if isinstance(instrument, FrameInstrument):
             yield name, instrument.target, rows
 
 
@@ -277,10 +273,7 @@ def moved_targets(setting: EffectSetting) -> dict[str, list[FloatArray]]:
 
 def _moved_target(setting: EffectSetting, target: str) -> list[FloatArray]:
     robot, links = setting.fit.robot, [None, *other_joints(setting.fit.robot, target)]
-    result: dict[str, FloatArray] = {
-        name: np.zeros((len(readings), robot.instrument(name).n_rows, 3 * len(links)))
-        for name, readings in setting.data.readings.items()
-    }
+    result = _no_change(setting, 3 * len(links))
     for name, own, rows in seen_targets(setting):
         if own == target:
             readings, pairs = setting.data.readings[name], robot.pairs[name]

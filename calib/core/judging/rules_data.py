@@ -11,7 +11,8 @@ When it fails. Readings in steps as coarse as they scatter say nothing: copies o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
@@ -24,7 +25,7 @@ from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import equal_columns, zero_visits, zeros_in_words
-from calib.core.fitting.outliers import Outlier, outliers_in_words, studentise_errors
+from calib.core.fitting.outliers import outliers_in_words, studentise_errors
 from calib.core.fitting.pose_checks import tied_joints, unmoved_joints
 from calib.core.fitting.unseen_errors import moved_frame
 from calib.core.judging import findings
@@ -35,7 +36,6 @@ from calib.core.numerics.chances import FALSE_ALARM, UNLIKELY
 from calib.core.numerics.losses import HIGH_LEVERAGE
 from calib.core.numerics.tall import Span
 from calib.core.robots.robot import Robot
-from calib.core.rows.rows import Rows
 
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
 """With fewer degrees of freedom, intervals are very wide."""
@@ -101,18 +101,14 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
 
 
 def too_few_poses(fit: Fit) -> Iterator[Reason]:
-    """Count degrees of freedom; only validation at other poses makes up for few."""
-    rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
-    if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
+    """Count degrees of freedom, for which only validation at other poses makes up, and poses that share errors."""
+    statistics, rows, used = fit.statistics, fit.rows.layout.n_read, fit.statistics.effective_parameters
+    if statistics.freedom < FEW or rows < 2 * used - 1e-6:
         yield Code.TOO_FEW_POSES.says(
             f"too few poses: {rows} measured values for {used:.0f} parameters. Measure several times as many poses",
-            counted=fit.statistics.freedom >= FEW and fit.validation is not None,
+            counted=statistics.freedom >= FEW and fit.validation is not None,
         )
-
-
-def check_shared_errors(fit: Fit) -> Iterator[Reason]:
-    """Count poses whose readings share errors."""
-    statistics, shared = fit.statistics, fit.statistics.shared_scatter
+    shared = statistics.shared_scatter
     if shared is not None and shared.chance < UNLIKELY and statistics.interval_freedom < FEW_SHARED:
         yield Code.TOO_FEW_POSES.says(
             "too few poses: the readings of a pose share errors, so that intervals come from only"
@@ -150,41 +146,49 @@ def outliers(fit: Fit) -> Iterator[Reason]:
     ):
         if outlying and not (where and moved_frame(fit)):
             rows = fit.validation_rows if where else fit.rows
-            n = rows.layout.n_readings if rows else 0
+            assert rows is not None  # of which some readings are outliers
+            squares = rows.distances() ** 2
+            gone = float(np.sum(squares[[outlier.reading for outlier in outlying]]))
+            few = bool(where) and len(outlying) <= FEW_OF * rows.layout.n_readings
             words = listing(outliers_in_words(outlying), "; ", 2)
             yield Code.OUTLIERS.says(
                 f"{count_noun(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
                 f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
                 + ("" if where else f"; --exclude-outliers fits without {'it' if len(outlying) == 1 else 'them'}"),
-                counted=_share(outlying, rows) < COSTLY or (bool(where) and len(outlying) <= FEW_OF * n),
+                counted=few or gone < COSTLY * max(float(np.sum(squares)), 1e-300),
                 answer=Answer.LOOK if where else None,
             )
     if fit.with_all is not None:
-        total = len(fit.with_all.identification.data)
-        poses = total - len(fit.identification.data)
-        readings = fit.with_all.rows.layout.n_readings
-        gone = readings - fit.rows.layout.n_readings
-        if poses > EXCLUDED * total or gone > EXCLUDED * readings:
-            of_all = f"{poses} of {total} poses" if poses > EXCLUDED * total else f"{gone} of {readings} readings"
-            yield Code.MANY_EXCLUDED.says(
-                f"{of_all} were excluded: so many cannot be outliers; the model or the measurements are wrong"
+        counts = [(len(each.identification.data), each.rows.layout.n_readings) for each in (fit.with_all, fit)]
+        for total, kept, what in zip(*counts, ("poses", "readings"), strict=True):
+            if total - kept > EXCLUDED * total:
+                yield Code.MANY_EXCLUDED.says(
+                    f"{total - kept} of {total} {what} were excluded: so many cannot be outliers; the model or the"
+                    " measurements are wrong"
+                )
+                return
+
+
+def used_twice(fit: Fit) -> Iterator[Reason]:
+    """Look for validation poses that the fit has used, and readings that are in the data twice, to the last digit."""
+    sets = [fit.identification.data, *([] if fit.validation is None else [fit.validation.data])]
+    used, total = sets[0], sum(map(len, sets))
+    for other in sets[1:]:
+        label = pose_labels(np.vstack([_state(used), _state(other)]))
+        same_pose = np.isin(label[len(used) :], label[: len(used)])
+        known = {key for keys in reading_keys(used, np.arange(len(used))) for key in keys}
+        n_same = sum(bool(keys & known) for keys in reading_keys(other, np.flatnonzero(same_pose)))
+        if n_same or np.sum(same_pose) > USED_FOR_BOTH * len(other):
+            overlap = "are measurements that the fit has used" if n_same else "were measured at poses of the fit"
+            yield Code.USED_FOR_BOTH.says(
+                f"{n_same or np.sum(same_pose)} of {count_noun(len(other), 'validation pose')} {overlap}: they"
+                " prove little; validate with other poses"
             )
-
-
-def check_validation_poses(fit: Fit) -> Iterator[Reason]:
-    """Look for validation poses that the fit has used."""
-    if fit.validation is None:
-        return
-    used, other = fit.identification.data, fit.validation.data
-    label = pose_labels(np.hstack([np.vstack([used.joints, other.joints]), _conditions(used, other)]))
-    same_pose = np.isin(label[len(used) :], label[: len(used)])
-    known = {key for keys in reading_keys(used, np.arange(len(used))) for key in keys}
-    same_reading = [bool(keys & known) for keys in reading_keys(other, np.flatnonzero(same_pose))]
-    if any(same_reading) or np.sum(same_pose) > USED_FOR_BOTH * len(other):
-        overlap = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
-        yield Code.USED_FOR_BOTH.says(
-            f"{sum(same_reading) or np.sum(same_pose)} of {count_noun(len(other), 'validation pose')} {overlap}: they"
-            " prove little; validate with other poses"
+    copies = [] if fit.computed else [data.labels[k] for data in sets for k in copied_visits(fit.nominal, data)]
+    if copies and len(copies) >= COPIED * total:
+        yield Code.COPIED.says(
+            f"{len(copies)} of {count_noun(total, 'reading')} are copies of others to the last digit, so intervals are"
+            f" too narrow: {listing(copies)}. Leave the copies out"
         )
 
 
@@ -204,33 +208,11 @@ def doubtful_readings(fit: Fit) -> Iterator[Reason]:
             yield Code.DOUBTFUL_READINGS.says(text, grade="FAIL" if alone else None)
 
 
-def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
-    if rows is None:
-        return 1.0
-    squares = np.bincount(rows.layout.reading, rows.residuals**2, rows.layout.n_readings)
-    return float(np.sum(squares[[outlier.reading for outlier in outlying]]) / max(float(np.sum(squares)), 1e-300))
-
-
-def check_copies(fit: Fit) -> Iterator[Reason]:
-    """Look for readings that are in the data more than once, to the last digit."""
-    sets = [fit.identification.data, *([] if fit.validation is None else [fit.validation.data])]
-    copies = [] if fit.computed else [data.labels[k] for data in sets for k in copied_visits(fit.nominal, data)]
-    total = sum(map(len, sets))
-    if copies and len(copies) >= COPIED * total:
-        yield Code.COPIED.says(
-            f"{len(copies)} of {count_noun(total, 'reading')} are copies of others to the last digit, so intervals are"
-            f" too narrow: {listing(copies)}. Leave the copies out"
-        )
-
-
-def _conditions(used: Measurements, other: Measurements) -> FloatArray:
-    """Setups and stated conditions of the visits of both, (n, ...), in units of a difference that counts."""
-    both = (used, other)
-    columns = [np.concatenate([np.zeros(len(visits)) if visits.setups is None else visits.setups for visits in both])]
-    for name, size in ANOTHER.items():
-        values = [np.nan_to_num(visits.context.get(name, np.zeros(len(visits)))) for visits in both]
-        columns.append(SAME_JOINTS / size * np.concatenate(values))
-    return np.column_stack(columns)
+def _state(visits: Measurements) -> FloatArray:
+    """Joints, setup and stated conditions of visits, (n, ...), in units of a difference that counts."""
+    nothing = np.zeros(len(visits))
+    stated = [SAME_JOINTS / size * np.nan_to_num(visits.context.get(name, nothing)) for name, size in ANOTHER.items()]
+    return np.column_stack([visits.joints, nothing if visits.setups is None else visits.setups, *stated])
 
 
 def dead_readings(fit: Fit) -> Iterator[Reason]:
@@ -291,17 +273,19 @@ def leverage(fit: Fit) -> Iterator[Reason]:
 
 def copied_visits(robot: Robot, data: Measurements) -> IntArray:
     """Return the visits that are copies of earlier ones, (n,); none where chance may have made them equal."""
-    repeated = _same_joints(data.joints)
-    first: dict[tuple[bytes, frozenset[bytes]], int] = {}
-    copies, known, pairs = [], dict[bytes, int](), []
+    joints = [values.tobytes() for values in data.joints]
+    count = Counter(joints)
+    repeated = np.array([visit for visit, own in enumerate(joints) if count[own] > 1], dtype=np.intp)
+    first: dict[bytes, int] = {}
+    known, copies, pairs = set[tuple[bytes, frozenset[bytes]]](), [], []
     for visit, keys in zip(repeated.tolist(), reading_keys(data, repeated), strict=True):
-        joints = data.joints[visit].tobytes()
-        if (joints, frozenset(keys)) in first:
+        own = joints[visit], frozenset(keys)
+        if own in known:
             copies.append(visit)
-        elif joints in known:
-            pairs.append((known[joints], visit))
-        first.setdefault((joints, frozenset(keys)), visit)
-        known.setdefault(joints, visit)
+        elif own[0] in first:
+            pairs.append((first[own[0]], visit))
+        known.add(own)
+        first.setdefault(own[0], visit)
     if not copies:
         return np.zeros(0, dtype=np.intp)
     chance = _chance_of_same(robot, data, pairs)
@@ -313,36 +297,19 @@ def _chance_of_same(robot: Robot, data: Measurements, pairs: list[tuple[int, int
     """Return the chance that a repeat has the same readings, from `pairs` of unlike repeats; 0 without numbers."""
     chances = []
     for name, readings in data.readings.items():
-        instrument = robot.instrument(name)
         whole = np.full((len(data), readings.values.shape[1]), np.nan)
         whole[readings.visits] = readings.values
-        for column, numbers in zip(instrument.columns(), whole.T, strict=False):
+        for column, numbers in zip(robot.instrument(name).columns(), whole.T, strict=False):
             least = _SCATTER.get(column.dimension, 0.0)
-            if least == 0.0:
-                continue
-            apart = np.array([numbers[a] - numbers[b] for a, b in pairs])
-            apart = apart[np.isfinite(apart)]
-            scatter = max(least, float(np.sqrt(np.mean(apart**2) / 2)) if len(apart) else 0.0)
-            step = _step(numbers, _DIGIT * least)
-            chances.append(step / (2 * np.sqrt(np.pi) * scatter) if step < scatter else 1.0)
+            if least > 0.0:
+                apart = np.array([numbers[a] - numbers[b] for a, b in pairs])
+                apart = apart[np.isfinite(apart)]
+                scatter = max(least, float(np.sqrt(np.mean(apart**2) / 2)) if len(apart) else 0.0)
+                known = np.unique(numbers[np.isfinite(numbers)])
+                digits = np.round((known - known[:1]) / (_DIGIT * least)).astype(np.int64)
+                step = _DIGIT * least * float(np.gcd.reduce(digits))  # largest one that divides all, up to rounding
+                chances.append(step / (2 * np.sqrt(np.pi) * scatter) if step < scatter else 1.0)
     return float(np.prod(chances)) if chances else 0.0
-
-
-def _step(numbers: FloatArray, digit: float) -> float:
-    """Return the largest step that divides all differences of numbers (n,), up to rounding to `digit`."""
-    known = np.unique(numbers[np.isfinite(numbers)])
-    return digit * float(np.gcd.reduce(np.round((known - known[:1]) / digit).astype(np.int64)))
-
-
-def _same_joints(joints: FloatArray) -> IntArray:
-    """Visits whose joint values (n_visits, n_actuated) may equal those of another, (n,)."""
-    left = np.arange(len(joints))
-    for column in joints.T:
-        _, number, count = np.unique(column[left], return_inverse=True, return_counts=True)
-        left = left[count[number] > 1]
-        if len(left) == 0:
-            break
-    return left
 
 
 def reading_keys(data: Measurements, visits: IntArray) -> list[set[bytes]]:

@@ -18,7 +18,7 @@ from calib.core.judging import findings
 from calib.core.judging.better_or_worse import HARM, comparisons
 from calib.core.judging.claim import Benefit, Claim, is_elsewhere, unlike_measured
 from calib.core.judging.effect_kinds import Pattern, Trait, describe
-from calib.core.judging.reasons import Answer, Code, Reason
+from calib.core.judging.reasons import Answer, Code, Grade, Reason
 from calib.core.judging.rules_noise import LEFT_OUT, impossible, measured_space, noise_in_words
 from calib.core.numerics.chances import EXACT, UNLIKELY
 from calib.core.numerics.placement import Placement
@@ -49,46 +49,31 @@ _NOT_THE_ROBOT = (
 _FURTHER_ERRORS = ". There the robot has errors that the poses used do not show. Measure there too"
 _AT_LIMIT = 1e-6  # distance from its limit at which a passive joint stopped a fit [m, rad]
 _MOST_PATTERNS = 3  # named in the sentence
+_LISTED_APART = (Trait.IN_COURSE, Trait.MISREAD, Trait.MISPLACED)  # patterns with one of these
 OTHER_MINIMUM = 10.0
 """Another minimum explains the data as well if its cost is larger by at most this."""
 
 
-def check_convergence(fit: Fit) -> Iterator[Reason]:
-    """Report an iteration that did not converge."""
-    end = fit.convergence
-    advice = "check units, joint order and signs, or try --starts"
-    if end.converged:
-        return
+def check_solution(fit: Fit) -> Iterator[Reason]:
+    """Report an iteration that did not converge, and a robot that cannot be assembled from its home configuration."""
+    end, receding = fit.convergence, fit.convergence.receding_parameters
+    why, advice = end.message, "check units, joint order and signs, or try --starts"
     if not end.has_settled_weights:
-        text = (
-            f"not converged: the weights of the robust loss '{fit.loss}' do not settle; too many measurements disagree"
-        )
+        why = f"the weights of the robust loss '{fit.loss}' do not settle; too many measurements disagree"
         advice = "leave the outliers out (--exclude-outliers), or fit without this loss"
-    elif end.receding_parameters:
-        text = (
-            f"not converged: these poses do not determine {listing(end.receding_parameters)}: the fit would"
-            f" move {'it' if len(end.receding_parameters) == 1 else 'them'} without limit"
-        )
-        advice = (
-            f"measure poses that differ more, or hold what they do not determine (--fix {end.receding_parameters[0]})"
-        )
+    elif receding:
+        it = "it" if len(receding) == 1 else "them"
+        why = f"these poses do not determine {listing(receding)}: the fit would move {it} without limit"
+        advice = f"measure poses that differ more, or hold what they do not determine (--fix {receding[0]})"
     elif not end.step_left < np.inf or end.step_left > 1.0:
-        text = f"not converged: parameter {end.parameter} would still move by {end.step_left:.2g} standard deviations"
-    else:
-        text = f"not converged: {end.message}"
-    for name in _joints_at_limit(fit):
-        text += f"; passive {joints_named(name)} is at its limit in the URDF, which may be too narrow"
-    yield Code.NOT_CONVERGED.says(f"{text}; {advice}")
-
-
-def _joints_at_limit(fit: Fit) -> list[str]:
-    mechanism, passive = fit.robot.mechanism, fit.configurations.passive
-    gaps = np.minimum(passive - mechanism.lower, mechanism.upper - passive)
-    return [mechanism.passive[k] for k in np.flatnonzero(np.any(gaps < _AT_LIMIT, axis=0))]
-
-
-def check_assembly(fit: Fit) -> Iterator[Reason]:
-    """Assemble the calibrated robot from its home configuration."""
+        why = f"parameter {end.parameter} would still move by {end.step_left:.2g} standard deviations"
+    if not end.converged:
+        mechanism, passive = fit.robot.mechanism, fit.configurations.passive
+        gaps = np.minimum(passive - mechanism.lower, mechanism.upper - passive)
+        for k in np.flatnonzero(np.any(gaps < _AT_LIMIT, axis=0)):
+            joint = joints_named(mechanism.passive[k])
+            why += f"; passive {joint} is at its limit in the URDF, which may be too narrow"
+        yield Code.NOT_CONVERGED.says(f"not converged: {why}; {advice}")
     if not fit.assembles:
         yield Code.NOT_ASSEMBLED.says(
             "with the parameters found, the robot cannot be assembled from its home configuration, so they are wrong;"
@@ -98,15 +83,22 @@ def check_assembly(fit: Fit) -> Iterator[Reason]:
 
 def worse_on_validation(fit: Fit) -> Iterator[Reason]:
     """Compare errors on unused poses before and after."""
-    moved = moved_frame(fit)
-    misplaced = moved is not None and moved.errors is None  # errors come from the moved frame
     for comparison in comparisons(fit):
         if comparison.worse:
-            yield Code.WORSE_ON_VALIDATION.says(
-                f"the calibration makes the robot worse on {comparison.name}: {comparison.words} (chance below"
-                f" {100 * UNLIKELY:g} %){'' if misplaced else _NOT_THE_ROBOT}",
-                answer=Answer.HOLD_OUT if moved else None,
-            )
+            chance = f"{comparison.words} (chance below {100 * UNLIKELY:g} %)"
+            yield _worse_reason(fit, f"on {comparison.name}: {chance}")
+
+
+def _worse_reason(fit: Fit, where: str) -> Reason:
+    moved = moved_frame(fit)
+    text = f"the calibration makes the robot worse {where}{'' if _misplaced(fit) else _NOT_THE_ROBOT}"
+    return Code.WORSE_ON_VALIDATION.says(text, answer=Answer.HOLD_OUT if moved else None)
+
+
+def _misplaced(fit: Fit) -> bool:
+    """Whether errors at the validation poses come from their frame, which moved and cannot be placed anew."""
+    moved = moved_frame(fit)
+    return moved is not None and moved.errors is None
 
 
 def residuals_grew(fit: Fit) -> Iterator[Reason]:
@@ -145,24 +137,21 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
 
 def claim_broken(fit: Fit, claim: Claim, *, no_correction: bool) -> Iterator[Reason]:
     """Compare errors on unused poses with the claim; `no_correction` says that the robot needs no correction."""
-    moved = moved_frame(fit)
-    misplaced = moved is not None and moved.errors is None  # errors come from the moved frame
-    worse, further = ("", "") if misplaced else (_NOT_THE_ROBOT, _FURTHER_ERRORS)
-    anew = "" if moved is None or misplaced else ", their frame placed anew,"
+    misplaced, claimed = _misplaced(fit), claim.at_measured_poses
+    anew = "" if moved_frame(fit) is None or misplaced else ", their frame placed anew,"
     for accuracy in (seen.accuracy for seen in claim.unused if not seen.holds):
-        times, claimed = accuracy.rms / claim.at_measured_poses.rms, claim.at_measured_poses
+        rms, promised = accuracy.in_unit(accuracy.rms), claimed.in_unit(claimed.rms)
+        times = f"{accuracy.rms / claimed.rms:.1f} times"
         if accuracy.rms > accuracy.before and claim.gain is not Benefit.BETTER and not no_correction:
-            yield Code.WORSE_ON_VALIDATION.says(
-                f"the calibration makes the robot worse at {accuracy.pose_words}{anew}:"
-                f" {accuracy.in_unit(accuracy.rms)} RMS after, {accuracy.in_unit(accuracy.before)} before, and"
-                f" {times:.1f} times what it claims ({claimed.in_unit(claimed.rms)}){worse}",
-                answer=Answer.HOLD_OUT if moved else None,
+            yield _worse_reason(
+                fit,
+                f"at {accuracy.pose_words}{anew}: {rms} RMS after, {accuracy.in_unit(accuracy.before)} before, and"
+                f" {times} what it claims ({promised})",
             )
         else:
             yield Code.VALIDATION.says(
-                f"{accuracy.pose_words}{anew} are {times:.1f} times as far off as claimed"
-                f" ({accuracy.in_unit(accuracy.rms)}"
-                f" RMS; claimed: {claimed.in_unit(claimed.rms)}){'' if misplaced else _where(fit, accuracy)}{further}"
+                f"{accuracy.pose_words}{anew} are {times} as far off as claimed ({rms} RMS; claimed: {promised})"
+                + ("" if misplaced else f"{_where(fit, accuracy)}{_FURTHER_ERRORS}")
             )
 
 
@@ -177,8 +166,8 @@ def _where(fit: Fit, accuracy: Accuracy) -> str:
     return f". {np.sum(unlike)} of them lie farther from the poses used than these lie from each other"
 
 
-def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
-    """Return the correction of a nominal robot that fits only with its base or its targets elsewhere than stated."""
+def places_elsewhere(fit: Fit, grade: Grade) -> Iterator[Reason]:
+    """Report a nominal robot that fits only with its base or its targets elsewhere than stated."""
     robot, data = fit.nominal, fit.identification.data
     frame_known = robot.description.base.pose == "known"
     targets_known = any(section.position == "known" for section in robot.description.targets.values())
@@ -192,9 +181,9 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
                 if placed.rms <= min(ELSEWHERE * stated.rms, NEAR * spread):
                     break
         else:
-            return None
+            return
     except DataError:  # no points were measured
-        return None
+        return
     code = Code.BASE_ELSEWHERE if base else Code.TARGET_ELSEWHERE
     places = _base_in_words(robot, placed) if base else ""
     if targets:
@@ -204,9 +193,10 @@ def places_elsewhere(fit: Fit) -> tuple[Code, str] | None:
             [f"{seen[k]}: set position: unknown, or xyz: [{_xyz(placed.points[k])}]" for k in wrong], "; "
         )
     what = " and ".join(["base: pose: known"] * base + ["position: known"] * targets)
-    return code, (
-        f"{what} does not fit these measurements (RMS {quantity_text(stated.rms, 'mm', '.4g')}; placed by the"
-        f" data: {quantity_text(placed.rms, 'mm', '.4g')}): {places}"
+    stated_rms, placed_rms = (quantity_text(each.rms, "mm", ".4g") for each in (stated, placed))
+    yield code.says(
+        f"{what} does not fit these measurements (RMS {stated_rms}; placed by the data: {placed_rms}): {places}",
+        grade=grade,
     )
 
 
@@ -235,8 +225,7 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
     yield Code.FRAME_MOVED.says(
         f"the tracker, the base or its frame probably moved between the two files, by {shift} mm and {angle} deg: this"
         f" leaves {significant(millimetres(moved.rms_after))} mm RMS unexplained{placed}. Measure both files from one"
-        " place, or"
-        " hold out poses of one file (--validate 0.25)"
+        " place, or hold out poses of one file (--validate 0.25)"
     )
 
 
@@ -244,7 +233,7 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
     """Report a calibration without gain: on unused poses, else by an F test of all parameters but placements."""
     if fit.computed:
         return
-    entries = list(comparisons(fit))
+    entries = comparisons(fit)
     if np.all(fit.unknowns.placement) or any(entry.better or entry.worse for entry in entries):
         return
     chance = _chance_of_gain(fit)
@@ -306,13 +295,8 @@ def files_hold_less(fit: Fit) -> Iterator[Reason]:
 def why_no_origins(fit: Fit) -> str:
     """Return why no file of joint origins is written for a fit that did not fail; empty if one is."""
     known = fit.robot.files.get(Holds.ORIGINS)
-    if known is not None:
-        return known.withheld
-    return (
-        "the fit without joint terms, which such a file needs, did not succeed"
-        if lost_by(fit.robot, Holds.ORIGINS)
-        else ""
-    )
+    lost = "the fit without joint terms, which such a file needs, did not succeed"
+    return known.withheld if known is not None else lost if lost_by(fit.robot, Holds.ORIGINS) else ""
 
 
 def systematic(fit: Fit) -> Iterator[Reason]:
@@ -324,33 +308,34 @@ def systematic(fit: Fit) -> Iterator[Reason]:
     if impossible(fit):  # patterns of a model that does not fit at all
         return
     patterns = [pattern for pattern in findings.patterns(fit) if pattern.significant]
-    changing = [pattern for pattern in patterns if Trait.IN_COURSE in pattern.kind.traits]
-    misread = [pattern for pattern in patterns if Trait.MISREAD in pattern.kind.traits]
-    misplaced = [pattern for pattern in patterns if Trait.MISPLACED in pattern.kind.traits]
-    staying = [pattern for pattern in patterns if pattern not in (*changing, *misread, *misplaced)]
     left = fit.identification.rms("after")
     grows = max((change.size for change in findings.changes(fit)), default=0.0)
-    for kinds in (changing, misread, misplaced, staying):
-        if kinds:
-            worst = max(kinds, key=lambda pattern: pattern.size)
-            moved = Trait.MOVED in worst.kind.traits
-            words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
-            advice = "; if something moved, use the rows before or after that, or describe setups" if moved else ""
-            advice = "; correct the target's frame in the description" if kinds is misplaced else advice
-            if kinds is misread:
-                wrong = listing(list(dict.fromkeys(pattern.name for pattern in misread)))
-                advice = f"; correct the readings of {wrong}, or the description (such as the `offset` of a distance)"
-            in_claim = worst.dimension != "length" or worst.size < LEFT_OUT * measured_space(fit)
-            if kinds is misread:
-                in_claim = all(pattern.size < AT_END * _left_of_instrument(fit, pattern) for pattern in misread)
-            elif kinds is not staying:
-                in_claim &= worst.size < AT_END * left and (kinds is misplaced or grows < AFTER * left)
-            yield Code.SYSTEMATIC.says(
-                f"a systematic error remains: {listing(words, '; ', _MOST_PATTERNS)}. Intervals of parameters do not"
-                f" include it{advice}",
-                answer=Answer.CORRECT if moved or kinds is misplaced or kinds is misread else None,
-                counted=in_claim,
-            )
+    for trait in (*_LISTED_APART, None):
+        kinds = [pattern for pattern in patterns if trait in (*pattern.kind.traits, None)]
+        patterns = [pattern for pattern in patterns if pattern not in kinds]
+        if not kinds:
+            continue
+        worst = max(kinds, key=lambda pattern: pattern.size)
+        in_claim = worst.dimension != "length" or worst.size < LEFT_OUT * measured_space(fit)
+        advice = ""
+        if trait is Trait.MISREAD:
+            wrong = listing(list(dict.fromkeys(pattern.name for pattern in kinds)))
+            advice = f"; correct the readings of {wrong}, or the description (such as the `offset` of a distance)"
+            in_claim = all(pattern.size < AT_END * _left_of_instrument(fit, pattern) for pattern in kinds)
+        elif trait is Trait.MISPLACED:
+            advice = "; correct the target's frame in the description"
+            in_claim &= worst.size < AT_END * left
+        elif Trait.MOVED in worst.kind.traits:
+            advice = "; if something moved, use the rows before or after that, or describe setups"
+        if trait is Trait.IN_COURSE:
+            in_claim &= worst.size < AT_END * left and grows < AFTER * left
+        words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
+        yield Code.SYSTEMATIC.says(
+            f"a systematic error remains: {listing(words, '; ', _MOST_PATTERNS)}. Intervals of parameters do not"
+            f" include it{advice}",
+            answer=Answer.CORRECT if advice else None,
+            counted=in_claim,
+        )
 
 
 def _left_of_instrument(fit: Fit, pattern: Pattern) -> float:

@@ -60,10 +60,9 @@ def noise(fit: Fit) -> Iterator[Reason]:
         jumbled = {} if np.isfinite(spread) else _jumbled_errors(fit)
         for estimate in fit.noise:
             size = jumbled.get((estimate.group.name, estimate.group.part), np.inf)
-            doubted = estimate.stated is None or _is_above_statement(estimate)
-            if doubted and estimate.sigma > NO_BETTER * size:
+            if _is_doubted(estimate) and estimate.sigma > NO_BETTER * size:
                 yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
-                    f"no fit: residuals{_group_noise_in_words(fit, estimate)} of"
+                    f"no fit: residuals{_group_in_words(fit, estimate)} of"
                     f" {noise_in_words(estimate, estimate.sigma)} per axis; with joint values of other rows they are"
                     f" {noise_in_words(estimate, size)}. Check units, axes, joint order and signs, names of what was"
                     " read, and whether joint values and readings of each row belong together; or move the joints more",
@@ -111,28 +110,24 @@ def noise_in_words(estimate: NoiseEstimate, size: float, digits: int = 3) -> str
     return quantity_text(size, ERROR_UNIT[estimate.group.part.dimension], f".{digits}g")
 
 
-def _group_noise_in_words(fit: Fit, estimate: NoiseEstimate) -> str:
+def _group_in_words(fit: Fit, estimate: NoiseEstimate) -> str:
     return f" of {estimate.group.name}, {estimate.group.part.name}," if len(fit.noise) > 1 else ""
 
 
 def _check_usual_noise(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
-    usual = estimate.group.part.usual
+    usual, used = estimate.group.part.usual, fit.identification.data.readings.keys()
     if estimate.sigma > usual:
         none_fits = all(other.stated is None and other.sigma > GROSS * other.group.part.usual for other in fit.noise)
+        another = fit.validation is not None and bool(fit.validation.data.readings.keys() - used)
+        proven = another and any(comparison.better for comparison in comparisons(fit))
         yield Code.NOISE.says(
-            f"noise found{_group_noise_in_words(fit, estimate)} is {noise_in_words(estimate, estimate.sigma)} per"
+            f"noise found{_group_in_words(fit, estimate)} is {noise_in_words(estimate, estimate.sigma)} per"
             f" axis, more than such an instrument has ({noise_in_words(estimate, usual)} at most): the model does not"
             " explain the measurements, and the parameters may be wrong. Look for what is missing or wrong in the"
             " description of the instrument, and check the result with another instrument",
-            grade="FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
+            grade="FAIL" if none_fits and not proven else "CHECK",
             counted=False,
         )
-
-
-def _proven_by_another(fit: Fit) -> bool:
-    used = fit.identification.data.readings.keys()
-    another = fit.validation is not None and bool(fit.validation.data.readings.keys() - used)
-    return another and any(comparison.better for comparison in comparisons(fit))
 
 
 def unproven(fit: Fit) -> bool:
@@ -154,20 +149,19 @@ def impossible(fit: Fit) -> bool:
     return not fit.computed and any(_impossible(fit, estimate) for estimate in fit.noise)
 
 
+def _is_doubted(estimate: NoiseEstimate) -> bool:
+    return estimate.stated is None or _is_above_statement(estimate)
+
+
 def _impossible(fit: Fit, estimate: NoiseEstimate) -> bool:
-    stated = estimate.stated is not None and not _is_above_statement(estimate)
-    return estimate.freedom > 0 and not stated and not _may_be_left_out(fit, estimate)
+    return estimate.freedom > 0 and _is_doubted(estimate) and not _may_be_left_out(fit, estimate)
 
 
 def _no_fit_reason(fit: Fit, estimate: NoiseEstimate) -> Reason:
-    of, found = _group_noise_in_words(fit, estimate), noise_in_words(estimate, estimate.sigma)
-    if estimate.stated is None:
-        text = f"noise found{of} is {found} per axis"
-    else:
-        times = estimate.sigma / estimate.stated
-        text = f"noise found{of} is {times:.1f} times what was stated ({_stated_noise_text(estimate)})"
+    found = f"noise found{_group_in_words(fit, estimate)} is {noise_in_words(estimate, estimate.sigma)} per axis"
     return Code.NOISE.says(
-        f"{text}: the model does not explain the measurements; a healthy robot does not leave more than"
+        f"{found if estimate.stated is None else _noise_over_statement(fit, estimate, '.1f')}: the model does not"
+        " explain the measurements; a healthy robot does not leave more than"
         f" {100 * _most(estimate):g} % of the measured space ({quantity_text(_spread(fit), 'mm', '.4g')}): check units,"
         " joint order and signs, and outliers; if all of it is noise, state that noise (--sigma-mm)",
         grade="FAIL",
@@ -175,9 +169,12 @@ def _no_fit_reason(fit: Fit, estimate: NoiseEstimate) -> Reason:
     )
 
 
-def _stated_noise_text(estimate: NoiseEstimate) -> str:
-    found, stated = noise_in_words(estimate, estimate.sigma), noise_in_words(estimate, estimate.stated or np.nan)
-    return f"{found} per axis where {stated} was stated"
+def _noise_over_statement(fit: Fit, estimate: NoiseEstimate, form: str, only: str = "") -> str:
+    stated = estimate.stated or np.nan
+    return (
+        f"noise found{_group_in_words(fit, estimate)} is {only}{estimate.sigma / stated:{form}} times what was stated"
+        f" ({noise_in_words(estimate, estimate.sigma)} per axis where {noise_in_words(estimate, stated)} was stated)"
+    )
 
 
 def _first_answer(fit: Fit) -> Answer:
@@ -201,57 +198,53 @@ def _most(estimate: NoiseEstimate) -> float:
 
 
 def _check_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
-    stated = estimate.stated or 1.0
-    ratio = estimate.sigma / stated
-    chi = chi_square(ratio, estimate.freedom)
-    numbers, of = _stated_noise_text(estimate), _group_noise_in_words(fit, estimate)
+    chi = chi_square(estimate.sigma / (estimate.stated or 1.0), estimate.freedom)
     if _is_above_statement(estimate):
-        yield _noise_above_statement(fit, estimate, f"noise found{of} is {ratio:.1f} times what was stated ({numbers})")
+        yield _noise_above_statement(fit, estimate)
     elif chi.p_larger < UNLIKELY:
-        text = f"noise found{of} is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
         yield Code.NOISE.says(
-            f"{text}: state the noise of robot and sensor together, or look for what the model leaves out"
+            f"{_noise_over_statement(fit, estimate, '.2f')}, more than chance explains: state the noise of robot and"
+            " sensor together, or look for what the model leaves out"
         )
     elif chi.p_smaller < UNLIKELY:
-        text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
-        advice = "state a smaller noise, or look for readings that were used more than once"
-        yield Code.NOISE.says(f"{text}: {advice}", answer=Answer.STATE_NOISE)
+        yield Code.NOISE.says(
+            f"{_noise_over_statement(fit, estimate, '.2g', 'only ')}, less than chance explains: state a smaller noise,"
+            " or look for readings that were used more than once",
+            answer=Answer.STATE_NOISE,
+        )
 
 
-def _noise_above_statement(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
-    text += ": the model does not explain the measurements;"
-    compared = list(comparisons(fit))
+def _noise_above_statement(fit: Fit, estimate: NoiseEstimate) -> Reason:
+    text = f"{_noise_over_statement(fit, estimate, '.1f')}: the model does not explain the measurements;"
+    compared = comparisons(fit)
     better = any(comparison.better for comparison in compared)
     bounded = estimate.group.part.dimension == "length" and np.isfinite(_spread(fit))
-    no_worse = bounded and bool(compared) and not any(comparison.worse for comparison in compared)
-    if better or no_worse:
-        outcome = "get better by more than chance explains" if better else "get neither better nor worse"
+    if not better and not (bounded and compared and not any(comparison.worse for comparison in compared)):
         text += (
-            f" poses that were not used {outcome}. The remaining error is what the model leaves out, or outliers. The"
-            " uncertainty of positions includes it. State the noise of robot and sensor together (--sigma-mm)"
+            " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove the"
+            " result on other poses (--validate, --folds)"
         )
-        if estimate.sigma > MOST_LEFT_OUT * (estimate.stated or np.inf):
-            text += (
-                f". On real robots, joint origins leave errors below {MOST_LEFT_OUT:g} times an instrument's noise:"
-                " look at the targets' links, and at units, gear ratios and order of the joint columns"
-            )
-            return Code.NOISE.says(text, counted=False)
+        return Code.NOISE.says(text, grade="FAIL")
+    outcome = "get better by more than chance explains" if better else "get neither better nor worse"
+    text += (
+        f" poses that were not used {outcome}. The remaining error is what the model leaves out, or outliers. The"
+        " uncertainty of positions includes it. State the noise of robot and sensor together (--sigma-mm)"
+    )
+    if estimate.sigma <= MOST_LEFT_OUT * (estimate.stated or np.inf):
         return Code.NOISE.says(text)
     text += (
-        " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove the result on"
-        " other poses (--validate, --folds)"
+        f". On real robots, joint origins leave errors below {MOST_LEFT_OUT:g} times an instrument's noise:"
+        " look at the targets' links, and at units, gear ratios and order of the joint columns"
     )
-    return Code.NOISE.says(text, grade="FAIL")
+    return Code.NOISE.says(text, counted=False)
 
 
 @memoize
 def measured_space(fit: Fit) -> float:
     """Root mean square distance of measured positions from their centre [m], of the widest instrument; inf if none."""
-    errors = fit.identification
     sizes = []
-    for instrument in errors.instruments:
-        readings = errors.data.readings.get(instrument.name)
-        points = None if readings is None else instrument.points(readings.values)
+    for name, readings in fit.identification.data.readings.items():
+        points = fit.robot.instrument(name).points(readings.values)
         if points is not None and len(points):
             sizes.append(float(np.sqrt(np.sum(np.nanvar(points, axis=0)))))
     return max(sizes, default=np.inf)

@@ -8,7 +8,6 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.memoize import memoize
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import quantity_text
 from calib.core.base.words import joints_named, listing
@@ -79,28 +78,23 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
     Without a prior, noise alone moves a parameter too: two standard deviations of it are allowed. The place of a target
     is never impossible: its place in the description may be a guess.
     """
-    far, impossible = [], []
-    for parameter, away in _deviations(fit):
-        if away > IMPOSSIBLE and not parameter.placement:
-            impossible.append((away, parameter))
-        elif away > PLAUSIBLE:
-            far.append((away, parameter))
+    away = sorted(_deviations(fit), key=lambda entry: -entry[1])
+    impossible = [(p, size) for p, size in away if size > IMPOSSIBLE and not p.placement]
+    far = [(p, size) for p, size in away if size > PLAUSIBLE]
+    beyond = "times as far from nominal as their stated sigma allows"
     if impossible:
-        impossible.sort(key=lambda entry: -entry[0])
-        words = listing([f"{parameter.name} ({away:.0f} sigma)" for away, parameter in impossible])
+        words = listing([f"{parameter.name} ({size:.0f} sigma)" for parameter, size in impossible])
         yield Code.FAR_FROM_NOMINAL.says(
-            f"parameters are more than {IMPOSSIBLE:g} times as far from nominal as their stated sigma allows: {words}."
+            f"parameters are more than {IMPOSSIBLE:g} {beyond}: {words}."
             " No error of the stated size explains this: check signs, zeros and order of the joint columns, and units."
             " If such an error is possible, state a larger sigma in the description"
         )
     elif far:
-        far.sort(key=lambda entry: -entry[0])
-        words = listing([f"{parameter.name} ({away:.1f} sigma)" for away, parameter in far])
+        words = listing([f"{parameter.name} ({size:.1f} sigma)" for parameter, size in far])
         yield Code.AT_BOUNDS.says(
-            f"parameters are more than {PLAUSIBLE:g} times as far from nominal as their stated sigma allows: {words};"
-            " check zero positions, units and the targets' links. If such an error is possible, state a larger sigma in"
-            " the description",
-            counted=far[0][0] <= DOUBTFUL,
+            f"parameters are more than {PLAUSIBLE:g} {beyond}: {words}; check zero positions, units and the targets'"
+            " links. If such an error is possible, state a larger sigma in the description",
+            counted=far[0][1] <= DOUBTFUL,
         )
 
 
@@ -118,55 +112,39 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     """
     if fit.computed:
         return
-    left, n_measured = _residuals_of_scales(fit)
-    own = [(name, fit.whitening.groups[group].part.dimension) for name, group in own_scales(findings.setting(fit))]
-    angles = [False] * len(_SCALED_LENGTHS) + [dimension == "angle" for _, dimension in own]
-    names = [*_SCALED_LENGTHS, *(f"{'angles' if of == 'angle' else 'readings'} of {name}" for name, of in own)]
-    if not np.any(left[:, : len(names)]):
+    setting = findings.setting(fit)
+    own = [(name, fit.whitening.groups[group].part.dimension == "angle") for name, group in own_scales(setting)]
+    names = [*_SCALED_LENGTHS, *(f"{'angles' if is_angle else 'readings'} of {name}" for name, is_angle in own)]
+    left, right, n_measured = _remaining_residuals(fit)
+    scaled_by, n_gains = left[:, : len(names)], len(fit.nominal.joint_names)
+    if not np.any(scaled_by):
         return
     scales_noise = any(group.part.dimension == "length" for group in fit.whitening.groups)
     tried = [
-        _cost_with(left[:, k : k + 1], left[:, -1], n_measured, is_scale=scales_noise and k == 0)
-        for k, _ in enumerate(names)
+        _cost_with(scaled_by[:, [k]], right, n_measured, is_scale=scales_noise and k == 0) for k in range(len(names))
     ]
     best = tried.index(min(tried))
     scaled, part = tried[best]
     if abs(part) <= (SCALED if best == 0 else SCALED_IN_PART):
         return
-    alone, _ = _cost_with(left[:, :0], left[:, -1], n_measured)
-    n_gains = len(fit.nominal.joint_names)
-    others = [left[:, len(tried) : len(tried) + n_gains], left[:, len(tried) + n_gains : -1]]
-    others = others if best >= len(_SCALED_LENGTHS) else others[:1]
-    likelier = min(_cost_with(columns, left[:, -1], n_measured)[0] for columns in others)
+    alone, _ = _cost_with(left[:, :0], right, n_measured)
+    others = np.split(left[:, len(names) :], [n_gains], axis=1)[: 2 if best >= len(_SCALED_LENGTHS) else 1]
+    likelier = min(_cost_with(columns, right, n_measured)[0] for columns in others)
     by_noise = findings.linear(fit).rows.layout.n_read - int(np.sum(fit.unknowns.placement))
     shown = alone - scaled > _least_sigmas(fit, 1) ** 2
     far = abs(part) > JOINT_SCALED or any(away > PLAUSIBLE for _, away in _deviations(fit))
     doubtful = alone - scaled > PLAUSIBLE**2 and far
     if (shown or doubtful) and alone - scaled > MOST * (alone - by_noise) and scaled < likelier:
+        is_angle = best >= len(_SCALED_LENGTHS) and own[best - len(_SCALED_LENGTHS)][1]
+        less, more, same = ("smaller", "larger", "large") if is_angle else ("shorter", "longer", "long")
+        text = f"{100 * abs(part):.2g} % {less if part > 0 else more} than"
+        if abs(part) > MANIFOLD:
+            text = f"{1.0 / max(1.0 + part, _NOTHING):.3g} times as {same} as"
         yield Code.LENGTHS_SCALED.says(
-            f"{names[best]} are {_scale_sentence(part, angles=angles[best])} in the description: no robot is"
-            " that far off. Look at the unit and form of the measurements, the scale of the instrument and the size of"
-            " the artefact",
+            f"{names[best]} are {text} in the description: no robot is that far off. Look at the unit and form of the"
+            " measurements, the scale of the instrument and the size of the artefact",
             grade="FAIL" if shown and likelier - scaled > PLAUSIBLE**2 else "CHECK",
         )
-
-
-@memoize
-def _residuals_of_scales(fit: Fit) -> tuple[FloatArray, int]:
-    setting = findings.setting(fit)
-    lengths, others = scales(setting), [gains(setting), *(columns for _, _, columns in constants(setting))]
-    predicted = lengths[:, :1] - np.where(lengths[:, :1] != 0.0, findings.linear(fit).rows.residuals[:, None], 0.0)
-    columns = np.hstack([predicted, lengths, *own_scales(setting).values(), *others])
-    left, n_measured = _remaining_residuals(fit, columns)
-    left[:, 1] *= np.any(left[:, 0])  # if parameters explain the scale of what is predicted, noise is left of that read
-    return left[:, 1:], n_measured
-
-
-def _scale_sentence(part: float, *, angles: bool) -> str:
-    less, more, same = ("smaller", "larger", "large") if angles else ("shorter", "longer", "long")
-    if abs(part) > MANIFOLD:
-        return f"{1.0 / max(1.0 + part, _NOTHING):.3g} times as {same} as"
-    return f"{100 * abs(part):.2g} % {less if part > 0 else more} than"
 
 
 def _least_sigmas(fit: Fit, n_scales: int) -> float:
@@ -175,17 +153,20 @@ def _least_sigmas(fit: Fit, n_scales: int) -> float:
     return max(SCALED_SIGMAS, float(-scipy.special.stdtrit(freedom, UNLIKELY / 2))) if freedom > 0 else np.inf
 
 
-def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int]:
-    """Return what parameters leave of further columns (n_rows, k), and of the residuals, divided by the found noise.
+def _remaining_residuals(fit: Fit) -> tuple[FloatArray, FloatArray, int]:
+    """Return what parameters leave of further columns, and of the residuals, divided by the found noise.
 
     Of a column that parameters explain, rounding errors remain; it becomes zero.
 
     Returns:
-        Remainders, (n, k + 1), those of the residuals last: a few rows with the same J^T J as all measured rows,
-        then a row for each deviation of a parameter; and the number of these measured rows.
+        Remainders of scales, gains and constants, (n, k), and of the residuals, (n,): a few rows with the same J^T J as
+        all measured rows, then a row for each deviation of a parameter; and the number of these measured rows.
     """
-    linear, inside, n = findings.linear(fit), ~fit.unknowns.placement, len(fit.unknowns)
-    rows, tried = linear.rows, np.hstack([columns, linear.rows.residuals[:, None]])
+    setting, linear, inside, n = findings.setting(fit), findings.linear(fit), ~fit.unknowns.placement, len(fit.unknowns)
+    rows, lengths = linear.rows, scales(setting)
+    predicted = lengths[:, :1] - np.where(lengths[:, :1] != 0.0, rows.residuals[:, None], 0.0)
+    others = [gains(setting), *(columns for _, _, columns in constants(setting)), rows.residuals[:, None]]
+    tried = np.hstack([predicted, lengths, *own_scales(setting).values(), *others])
     known = posterior_information(rows.factor[:n, :-1] / linear.factor, Prior(inside))
     left = np.zeros((n, tried.shape[1]))
     left[inside, -1] = rows.deviations[inside]
@@ -194,9 +175,10 @@ def _remaining_residuals(fit: Fit, columns: FloatArray) -> tuple[FloatArray, int
     for part in slices(len(tried)):
         measured = extend_reduced(measured, (tried[part] + rows.jacobian[part] @ step) / linear.factor)
     remainders = np.vstack([measured, (left + step)[inside]])
-    whole = np.linalg.norm(columns, axis=0) / linear.factor
+    whole = np.linalg.norm(tried, axis=0)[:-1] / linear.factor
     remainders[:, :-1] *= np.linalg.norm(remainders[:, :-1], axis=0) > NO_EFFECT * whole
-    return remainders, len(measured)
+    remainders[:, 1] *= np.any(remainders[:, 0])  # where parameters explain what is predicted, what is read is noise
+    return remainders[:, 1:-1], remainders[:, -1], len(measured)
 
 
 def _cost_with(
@@ -204,10 +186,7 @@ def _cost_with(
 ) -> tuple[float, float]:
     """Return the least cost of the residuals (n,) with some columns (n, k) fitted, and the size of the first.
 
-    Args:
-        columns, right: Columns and residuals, less what the parameters explain of them.
-        n_measured: Number of measured rows; the others are priors.
-        is_scale: Whether the column scales all lengths, and noise with them.
+    Of the rows, `n_measured` are measured; `is_scale` says whether the column scales all lengths, and noise with them.
     """
     unit, size = unit_columns(columns)
     alone = unit.shape[1] == 1  # of one unit column, the product is the solution
@@ -314,7 +293,7 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
     if words:
         yield Code.LARGE_TERMS.says(
             f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"
-            " ratio, unit, mass or load that is wrong in the description or the data",
+            " ratio, unit, mass or load that is wrong in the description or the data"
         )
 
 
@@ -332,34 +311,27 @@ def unlike_fleet(fit: Fit) -> Iterator[Reason]:
 
 def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
     """Yield each free parameter with an expected error, and its deviation over the allowed one."""
-    known, parameters = iter(zip(fit.statistics.std, fit.statistics.data_share, strict=True)), fit.nominal.parameters
+    parameters, free = fit.nominal.parameters, fit.unknowns.index.tolist()
     distances = np.abs(fit.robot.values - parameters.expected_si)
-    for parameter, distance, free in zip(parameters, distances, fit.free, strict=True):
-        if not free:
-            continue
-        std, share = next(known)
+    for k, std, share in zip(free, fit.statistics.std, fit.statistics.data_share, strict=True):
+        parameter, away = parameters[k], float(distances[k]) / parameters[k].sigma_si
         if (parameter.placement and not parameter.prior) or parameter.family:  # a family's size is found
             continue
-        away = float(distance) / parameter.sigma_si
         if parameter.prior:
             yield parameter, away / float(np.sqrt(max(share, SMALLEST_SHARE)))
         else:
             yield parameter, away - 2.0 * float(std) / parameter.sigma_si
 
 
-def unclear_rank(fit: Fit) -> Iterator[Reason]:
-    """Report free parameters that count as determined only because of the threshold."""
+def hardly_determined(fit: Fit) -> Iterator[Reason]:
+    """Report free parameters that count as determined only because of the threshold, and angles that hardly are."""
     rank = fit.determination.together
     if rank.unclear:
         yield Code.RANK_UNCLEAR.says(
             f"{rank.doubt}: one combination of parameters is hardly determined. Hold one more parameter (`calib check`"
             " names it), or measure other poses"
         )
-
-
-def loose(fit: Fit) -> Iterator[Reason]:
-    """List angles that are hardly determined."""
-    free = [p for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use]
+    free = [fit.nominal.parameters[k] for k in fit.unknowns.index.tolist()]
     loose = [
         f"{p.name} (+-{quantity_text(std, 'deg', '.1f')})"
         for p, std in zip(free, fit.statistics.std, strict=True)

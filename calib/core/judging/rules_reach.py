@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from calib.core.base.words import count_noun, joints_named, listing
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.pose_checks import unmoved_joints, wrapped_terms
 from calib.core.fitting.terms.joint_curves import is_beyond_learned
-from calib.core.judging.claim import Claim
+from calib.core.judging.claim import Claim, known_at_used
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.numerics.halton import halton
 from calib.core.robots.robot import Robot
@@ -36,36 +35,30 @@ _NO_VARIANCE = 1e-9  # part of each variance, added so that a singular matrix ca
 _SAMPLED = 200  # poses at which uncertainties are computed
 
 
-def one_corner(fit: Fit) -> Iterator[Reason]:
-    """Compare the motion of each joint with the range that its limits allow (or a turn, without limits)."""
-    robot, reach = fit.nominal, np.ptp(fit.identification.data.joints, axis=0)
-    allowed = _joint_ranges(robot)
-    known = np.isfinite(allowed) & (allowed > 0)
-    part = np.max(reach[known] / allowed[known], initial=0.0)
-    if np.all(known) and 0 < part < CORNER:
-        yield Code.ONE_CORNER.says(
-            f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its range, and"
-            " elsewhere the robot is not calibrated: measure poses all over the space where it will work"
-        )
-
-
 def check_joint_motion(fit: Fit) -> Iterator[Reason]:
-    """Look for joints that moved so little that positions are unknown where they move further."""
+    """Compare the motion of each joint with the range that its limits allow (or a turn, without limits).
+
+    Look for joints that moved so little that positions are unknown where they move further.
+    """
     data, robot = fit.identification.data, fit.nominal
-    allowed = _joint_ranges(robot)
-    part = np.ptp(data.joints, axis=0) / allowed
+    allowed, reach = _joint_ranges(robot), np.ptp(data.joints, axis=0)
+    part = reach / allowed
+    if np.all(np.isfinite(allowed) & (allowed > 0)) and 0 < np.max(part) < CORNER:
+        yield Code.ONE_CORNER.says(
+            f"all poses lie in one corner: no joint moved through more than {100 * np.max(part):.2g} % of its range,"
+            " and elsewhere the robot is not calibrated: measure poses all over the space where it will work"
+        )
     still = np.isin(robot.joint_names, unmoved_joints(robot, data.joints))
-    if np.all(part[~still] < CORNER):  # `one_corner` reports this
+    if np.all(part[~still] < CORNER):
         return
     for j in np.flatnonzero((part < CORNER) & ~still):
-        at_used, slope = _uncertain_at_used(fit), _slope(fit, _poses_over_range(fit, int(j), float(allowed[j])))
-        away = _size(slope, fit.uncertainty.covariance_of(fit.robot))
+        at_used, away = _uncertain_at_used(fit), _uncertain_at(fit, _poses_over_range(fit, int(j), float(allowed[j])))
         if away > _well_known(fit, at_used):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
-            reach = quantity_text(float(np.ptp(data.joints[:, j])), DISPLAY_UNIT[dimension], ".2g")
+            moved = quantity_text(float(reach[j]), DISPLAY_UNIT[dimension], ".2g")
             yield Code.JOINT_MOVED_LITTLE.says(
-                f"{joints_named(name)} moved through only {reach}. Positions are known to"
+                f"{joints_named(name)} moved through only {moved}. Positions are known to"
                 f" {quantity_text(at_used, 'mm', '.2g')} at the poses used, but to {quantity_text(away, 'mm', '.2g')}"
                 " RMS where it moves further. Measure poses that move it through its range"
             )
@@ -73,10 +66,10 @@ def check_joint_motion(fit: Fit) -> Iterator[Reason]:
 
 def far_validation(fit: Fit) -> Iterator[Reason]:
     """Report validation poses that lie where the used poses leave positions uncertain."""
-    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
+    known = None if fit.computed else fit.validation_uncertainty
+    if known is None:
         return
-    at_used = _rms(fit.identification_uncertainty.reported_distance)
-    away = float(np.median(fit.validation_uncertainty.reported_distance))
+    at_used, away = known_at_used(fit), float(np.median(known.reported_distance))
     if away > _well_known(fit, at_used):
         yield Code.VALIDATED_ELSEWHERE.says(
             f"validation poses lie far from the poses used: positions are known to {quantity_text(away, 'mm', '.2g')}"
@@ -98,17 +91,18 @@ def _poses_over_range(fit: Fit, j: int, allowed: float) -> FloatArray:
 def _uncertain_at_used(fit: Fit) -> float:
     data = fit.identification.data
     used = evenly_spread(len(data), _SAMPLED)
-    return _size(_slope(fit, data.joints[used], data.conditions.select(used)), fit.uncertainty.covariance_of(fit.robot))
+    return _uncertain_at(fit, data.joints[used], data.conditions.select(used))
+
+
+def _uncertain_at(fit: Fit, q: FloatArray, context: Context | None = None) -> float:
+    """Root mean square uncertainty of positions at poses q (n, n_actuated) without their common motion [m]."""
+    return _size(_slope(fit, q, context), fit.uncertainty.covariance_of(fit.robot))
 
 
 def _well_known(fit: Fit, at_used: float) -> float:
     """Largest uncertainty of well-known positions [m], from the uncertainty `at_used` at the used poses."""
     lengths = fit.first_noise.group.part.dimension == "length"
     return max(LESS_KNOWN * at_used, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def check_joint_limits(fit: Fit) -> Iterator[Reason]:
@@ -142,12 +136,12 @@ def _joint_ranges(robot: Robot) -> FloatArray:
 
 def check_curve_ranges(fit: Fit) -> Iterator[Reason]:
     """Look for validation poses outside the learned range of a joint's curve, where positions are uncertain."""
-    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
+    known = None if fit.computed else fit.validation_uncertainty
+    if known is None or fit.validation is None:
         return
     outside = is_beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
-    at_used = _rms(fit.identification_uncertainty.reported_distance)
-    away = np.max(fit.validation_uncertainty.reported_distance, axis=1)
-    outside[away <= _well_known(fit, at_used)] = False
+    away = np.max(known.reported_distance, axis=1)
+    outside[away <= _well_known(fit, known_at_used(fit))] = False
     poses = np.flatnonzero(np.any(outside, axis=1))
     if len(poses):
         joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
@@ -171,7 +165,7 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
 
 def terms_untested(fit: Fit) -> Iterator[Reason]:
     """Look for joint terms that leave positions uncertain where each joint keeps its measured values."""
-    accuracy = _widening_sentence(fit, partial(recombined_joints, fit.identification.data.joints, _SAMPLED))
+    accuracy = _widening_sentence(fit, lambda: recombined_joints(fit.identification.data.joints, _SAMPLED))
     if accuracy:
         yield Code.TERMS_UNTESTED.says(
             f"the poses used hardly determine the joint terms at other combinations of the same joint values: positions"
@@ -182,9 +176,9 @@ def terms_untested(fit: Fit) -> Iterator[Reason]:
 
 def terms_beyond(fit: Fit) -> Iterator[str]:
     """Report the uncertainty of positions beyond the joint values from which terms were learned."""
-    accuracy = _widening_sentence(fit, partial(_over_joint_ranges, fit))
+    accuracy = _widening_sentence(fit, lambda: _over_joint_ranges(fit))
     if accuracy:
-        yield (f"not all of the joints' range was measured: over all of it, positions are known to {accuracy}")
+        yield f"not all of the joints' range was measured: over all of it, positions are known to {accuracy}"
 
 
 def positions_not_claimed(fit: Fit) -> Iterator[str]:
@@ -195,8 +189,7 @@ def positions_not_claimed(fit: Fit) -> Iterator[str]:
     part = fit.identification.main_part
     if part.is_position:
         return
-    slope = _slope(fit, recombined_joints(fit.identification.data.joints, _SAMPLED))
-    known = _size(slope, fit.uncertainty.covariance_of(fit.robot))
+    known = _uncertain_at(fit, recombined_joints(fit.identification.data.joints, _SAMPLED))
     if known > UNMOVED:
         yield (
             f"positions of the tool: the claim is about {part.readings}. With the measured values of the joints in"

@@ -1,21 +1,16 @@
 """PASS, CHECK or FAIL: whether a fit can be trusted, with reasons in words that say what to do.
 
-FAIL: the numbers must not be used (the robot is not exported as calibrated unless forced).
-CHECK: they can be used by someone who has read the reasons.
-PASS: nothing was found; that is no proof that nothing is wrong.
-
 Each rule tests one thing. Tests with a chance state it: chi-square, gain, comparisons, repeats and left-out blocks
 0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about one fit of thirty (measured:
-docs/verdict.md).
-
-Errors that leave no trace in the measurements are listed beside it (`not_covered`).
+docs/verdict.md, which also says what the grades mean). Errors that leave no trace in the measurements are listed beside
+it (`not_covered`).
 
 Entry points of the group `calib.reasons` add rules of other packages: functions of a fit that yield reasons.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Self
 
@@ -32,14 +27,7 @@ from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import likely_mistake
 from calib.core.fitting.outliers import Outlier
 from calib.core.fitting.unseen_errors import leave_one_out_errors
-from calib.core.judging import (
-    findings,
-    rules_data,
-    rules_model,
-    rules_noise,
-    rules_parameters,
-    rules_reach,
-)
+from calib.core.judging import findings, rules_data, rules_model, rules_noise, rules_parameters, rules_reach
 from calib.core.judging.claim import MORE, Benefit, ErrorElsewhere, claim_of
 from calib.core.judging.effect_kinds import Pattern, Trait
 from calib.core.judging.error_budget import ENOUGH_REPEATS, ErrorBudget
@@ -53,8 +41,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.worse_on_validation,
     rules_data.dead_readings,
     rules_model.residuals_grew,
-    rules_model.check_convergence,
-    rules_model.check_assembly,
+    rules_model.check_solution,
     rules_noise.misread,
     rules_noise.noise,
     rules_data.doubtful_readings,
@@ -64,7 +51,6 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_parameters.joint_moves_otherwise,
     rules_parameters.far_from_nominal,
     rules_data.poses_that_say_little,
-    rules_reach.one_corner,
     rules_reach.check_joint_motion,
     rules_reach.far_validation,
     rules_reach.check_joint_limits,
@@ -73,10 +59,8 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_parameters.unlike_fleet,
     rules_reach.turns_not_counted,
     rules_data.too_few_poses,
-    rules_data.check_shared_errors,
     rules_data.moves_as_one,
-    rules_parameters.unclear_rank,
-    rules_parameters.loose,
+    rules_parameters.hardly_determined,
     rules_model.nothing_to_correct,
     rules_model.files_hold_less,
     rules_model.systematic,
@@ -84,8 +68,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_reach.check_curve_ranges,
     rules_data.check_rounding,
     rules_data.outliers,
-    rules_data.check_validation_poses,
-    rules_data.check_copies,
+    rules_data.used_twice,
     rules_data.repeats,
     rules_model.check_minima,
     rules_data.leverage,
@@ -93,6 +76,14 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
 _ORDER = ("FAIL", "CHECK", "PASS")
 _IN_MISTAKE = {Code.ZERO_READINGS, Code.EQUAL_COLUMNS, Code.JOINT_SCALED}
 """Reasons that a likely mistake already names."""
+_SUPERSEDED = (
+    (Code.WORSE_ON_VALIDATION, Code.NO_GAIN),
+    (Code.NOISE_AS_LARGE_AS_ROBOT, Code.SYSTEMATIC),
+    (Code.NOISE_AS_LARGE_AS_ROBOT, Code.JOINT_SCALED),
+    (Code.POSES_EQUAL, Code.NOISE_AS_LARGE_AS_ROBOT),  # a robot that did not move
+    (Code.EQUAL_COLUMNS, Code.INSTRUMENTS_DISAGREE),
+)
+"""Reasons, and others that they include or explain."""
 _NOTHING_FITS = {Code.NOT_CONVERGED, Code.NOT_ASSEMBLED, Code.NOISE_AS_LARGE_AS_ROBOT, Code.FAR_FROM_NOMINAL}
 _MOVED = {Code.AT_BOUNDS}  # effect of a base that is a little elsewhere
 NO_MATTER = 0.25
@@ -115,23 +106,22 @@ def judge(fit: Fit) -> Verdict:
     reasons = [*(reason for rule in _RULES for reason in rule(fit)), *_reasons_of_others(fit)]
     codes, claim = {reason.code for reason in reasons}, claim_of(fit)
     no_correction = Code.NOTHING_TO_CORRECT in codes
-    if claim is not None and Code.WORSE_ON_VALIDATION not in codes:
-        reasons = [*rules_model.claim_broken(fit, claim, no_correction=no_correction), *reasons]
     if claim is not None:
-        reasons += rules_reach.check_tolerance(fit, claim)
-    reasons = [reason for reason in reasons if reason.code not in _superseded_codes(reasons)]
-    nothing_fits = (
-        bool(codes & _NOTHING_FITS) and not fit.convergence.receding_parameters
-    )  # if parameters recede, the poses are the cause
+        worse = Code.WORSE_ON_VALIDATION in codes
+        broken = () if worse else rules_model.claim_broken(fit, claim, no_correction=no_correction)
+        reasons = [*broken, *reasons, *rules_reach.check_tolerance(fit, claim)]
+    codes_so_far = {reason.code for reason in reasons}
+    superseded = {less for more, less in _SUPERSEDED if more in codes_so_far}
+    reasons = [reason for reason in reasons if reason.code not in superseded]
+    nothing_fits = bool(codes & _NOTHING_FITS) and not fit.convergence.receding_parameters  # else poses are the cause
     gross = nothing_fits or rules_noise.is_noise_too_large(fit)
     scaled = any(reason.code == Code.JOINT_SCALED for reason in reasons)
     mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma, gross=False) if scaled else ""
-    elsewhere = rules_model.places_elsewhere(fit) if not mistake and (gross or codes & _MOVED) else None
-    if elsewhere is not None:
-        code, text = elsewhere
-        reasons.insert(0, code.says(text, grade="FAIL" if nothing_fits else "CHECK"))
-    elif gross and not mistake:
-        mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma)
+    if not mistake and (gross or codes & _MOVED):
+        elsewhere = list(rules_model.places_elsewhere(fit, "FAIL" if nothing_fits else "CHECK"))
+        reasons = [*elsewhere, *reasons]
+        if gross and not elsewhere:
+            mistake = likely_mistake(fit.nominal, fit.identification.data, fit.sigma)
     if mistake:
         text = f"{mistake}; correct the data, or the description where that is wrong"
         reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]
@@ -146,24 +136,6 @@ def judge(fit: Fit) -> Verdict:
     if grade == "FAIL":  # other findings say nothing about numbers that must not be used
         return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))
     return Verdict(grade, tuple(reasons), not_covered(fit), claim)
-
-
-def _superseded_codes(reasons: Sequence[Reason]) -> set[Code]:
-    """Codes of reasons that other reasons supersede or explain.
-
-    Larger errors than before supersede the lack of a gain. Residuals as large as the robot supersede patterns and
-    scales of joints, and a robot that did not move supersedes such residuals. A column that was copied over another
-    explains instruments that disagree.
-    """
-    codes = {reason.code for reason in reasons}
-    pairs = (
-        (Code.WORSE_ON_VALIDATION, Code.NO_GAIN),
-        (Code.NOISE_AS_LARGE_AS_ROBOT, Code.SYSTEMATIC),
-        (Code.NOISE_AS_LARGE_AS_ROBOT, Code.JOINT_SCALED),
-        (Code.POSES_EQUAL, Code.NOISE_AS_LARGE_AS_ROBOT),
-        (Code.EQUAL_COLUMNS, Code.INSTRUMENTS_DISAGREE),
-    )
-    return {less for more, less in pairs if more in codes}
 
 
 def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
@@ -195,16 +167,14 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
 
 
 def _scale(fit: Fit) -> Iterator[str]:
-    """Line on an error of all lengths (an instrument's scale, heat) that the measurements would not show.
-
-    Contacts at unknown places have no length, so they show none; angles need none.
-    """
+    """Line on an error of all lengths that the measurements would not show; angles need none."""
     column, linear = scales(findings.setting(fit))[:, :1], findings.linear(fit)
     if np.any(column):
         least, nothing = linear.visible(column), "nothing else"
         made = least * float(np.linalg.norm(column)) / np.sqrt(linear.freedom - linear.confirmed)
     else:
-        least = made = np.inf if any(group.part.dimension == "length" for group in fit.whitening.groups) else 0.0
+        contacts = any(group.part.dimension == "length" for group in fit.whitening.groups)  # at unknown places
+        least = made = np.inf if contacts else 0.0
         nothing = "nothing"
     if made > NO_MATTER * linear.factor:
         below = f" below {float(f'{millimetres(least):.2g}'):g} mm in 1 m" if least < LARGEST else ""
@@ -300,10 +270,8 @@ class JudgedFit(Fit):
         claim = self.verdict.claim
         if claim is None or not claim.at_measured_poses.is_position:
             return None
-        given_poses = as_poses(self.robot, poses)
-        known = self.reported_uncertainty.predict(
-            given_poses.joints, given_poses.conditions if context is None else context
-        )
+        given = as_poses(self.robot, poses)
+        known = self.reported_uncertainty.predict(given.joints, given.conditions if context is None else context)
         return claim.error_at(float(np.sqrt(np.mean(known.reported_distance**2))))
 
     @property

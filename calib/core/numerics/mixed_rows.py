@@ -95,7 +95,8 @@ class FamilyPart(ReadOnlyArrays):
     ) -> FamilyPart:
         """Return the part of the columns of a family, (n_rows, n), whose components are at least `least` long.
 
-        They have at least the part `aside` of the longest; of columns with known priors all stay if `least` is 0.
+        Others are dropped, as are those below the part `aside` of the longest; of columns with known priors, which have
+        many units, those that are shorter than both.
         """
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
@@ -107,7 +108,8 @@ class FamilyPart(ReadOnlyArrays):
         if family == KNOWN and least == 0.0:
             return FamilyPart(members, np.eye(len(members)), family)
         values, vectors = _principal(columns)
-        seen = values > max(aside**2 * values[-1], 0.0 if family == KNOWN else least**2)
+        together = min if family == KNOWN else max
+        seen = values > together(aside**2 * values[-1], least**2)
         return FamilyPart(members, vectors[:, seen], family)
 
 

@@ -59,6 +59,7 @@ import numpy as np
 import scipy
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.core.base.memoize import memoize
 from calib.core.numerics.chances import EXACT
 from calib.core.numerics.identifiability import reduce_rows
 from calib.core.numerics.linear_model import LinearModel, RowGroups
@@ -68,7 +69,8 @@ from calib.core.numerics.statistics import require_freedom
 
 _LEAST = -6.0  # logarithm of the least size of a family
 _MOST = 4.0
-_LEAST_PART = 1e-3  # least noise and scatter, over what would explain all residuals
+_LEAST_PART = 1e-3  # least noise and scatter, over what would explain all that flat columns leave
+_LEAST_KNOWN = 0.1  # the same, over what would explain all that columns with known priors leave, too
 _LEAST_ALONE = EXACT / 10.0  # least noise where nothing scatters: all that families leave is noise then [SI]
 _SMALL = 0.1  # a falling size is set to its bound below this part of the start of the search
 _AT_BOUND = 1e-9  # difference of a logarithm from its bound
@@ -306,7 +308,8 @@ class _Bounds(ReadOnlyArrays):
     """Logarithms of the sizes that a search keeps to, (n_sizes,) each.
 
     Attributes:
-        least: A value that is as good as zero.
+        least: A value that is as good as zero. Flat columns may leave much that known priors explain: with a target
+            whose place is known to 0.5 m, ten thousand times the noise.
         first: Start of a search.
         most: For a family much more than expected; for scatter the value that explains all that flat columns leave;
             for noise too, by the rows less the flat columns, or more where other groups may decide these columns.
@@ -317,22 +320,36 @@ class _Bounds(ReadOnlyArrays):
     most: FloatArray
 
     @staticmethod
+    @memoize
     def from_model(model: MixedModel) -> _Bounds:
         flat = model.x[:, model.family == FLAT]  # orthonormal
-        left, rows = model.y - flat @ (flat.T @ model.y), model.rows
-        freedom, n = rows.stands_for - np.sum(flat**2, axis=1), len(rows.has_stated_noise)
-        squares = np.bincount(rows.group, left**2, n) / np.maximum(np.bincount(rows.group, freedom, n), _LEAST_FREEDOM)
-        squares = squares[model.unstated_groups]
+        freedom = model.rows.stands_for - np.sum(flat**2, axis=1)
+        left_by_flat = _explaining_sizes(model, model.y - flat @ (flat.T @ model.y), freedom)
         if model.scatters:
-            squares = np.append(squares, np.mean(left**2) / max(float(np.mean(model.spread)), _NOTHING))
-        left_by_flat = 0.5 * np.log(squares + _NOTHING)
-        if model.scatters:
-            least, first, most = left_by_flat + np.log(_LEAST_PART), left_by_flat - 1.0, left_by_flat
+            none = np.repeat([-np.inf, 0.0, -np.inf], [model.n_families, len(left_by_flat) - 1, 1])
+            left = _explaining_sizes(model, model.solve(none).whitened_residuals, freedom)
+            least = np.minimum(left_by_flat + np.log(_LEAST_PART), left + np.log(_LEAST_KNOWN))
+            first, most = left_by_flat - 1.0, left_by_flat
         else:
-            least = np.full(len(squares), np.log(_LEAST_ALONE))
+            least = np.full(len(left_by_flat), np.log(_LEAST_ALONE))
             first, most = left_by_flat, np.maximum(left_by_flat + _OTHERS, least)
         families = ([value] * model.n_families for value in (_LEAST, np.log(0.5), _MOST))
         return _Bounds(*map(np.append, families, (least, first, most)))
+
+
+def _explaining_sizes(model: MixedModel, left: FloatArray, freedom: FloatArray) -> FloatArray:
+    """Logarithms of the noise of groups, and of the scatter, that each alone explain what is left of the rows.
+
+    Args:
+        left: Residuals, (n_rows,).
+        freedom: Degrees of freedom of each row, (n_rows,).
+    """
+    group, n = model.rows.group, len(model.rows.has_stated_noise)
+    squares = np.bincount(group, left**2, n) / np.maximum(np.bincount(group, freedom, n), _LEAST_FREEDOM)
+    squares = squares[model.unstated_groups]
+    if model.scatters:
+        squares = np.append(squares, np.mean(left**2) / max(float(np.mean(model.spread)), _NOTHING))
+    return np.asarray(0.5 * np.log(squares + _NOTHING))
 
 
 def _cost(at: SolvedModel) -> float:

@@ -29,26 +29,26 @@ def text_report(fit: Fit, width: int = _WIDTH, *, verbose: bool = False) -> str:
     and the parameters that changed most.
     """
     verdict = judge(fit)
-    title = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
-    parts: list[str | Table]
     if verbose:
         grids = (*accuracy_grids(fit), files_grid(fit), budget_grid(fit), parameter_grid(fit))
         tables = [grid.as_text() for grid in grids if grid is not None]
-        parts = [title, *verdict_lines(verdict), *tables, *details(fit)]
-    else:
-        errors, files = change_text(fit, verdict.claim), files_grid(fit)
-        remarks = [*terms_added(fit), *terms_not_shown(fit), *outliers_left_out(fit)]
-        worth: list[str | Table] = ["", files.as_text(plain=True)] if files is not None else []
-        parts = [title, *verdict_lines(verdict, _MOST_REASONS), "", errors, *remarks, *worth, *most_changed_lines(fit)]
-    return plain_text(parts, width, wrap=True)
+        return plain_text([_title(fit), *verdict_lines(verdict), *tables, *details(fit)], width, wrap=True)
+    files, remarks = files_grid(fit), [*terms_added(fit), *terms_not_shown(fit), *outliers_left_out(fit)]
+    worth: list[str | Table] = ["", files.as_text(plain=True)] if files is not None else []
+    return plain_text([*_beginning(fit, verdict), *remarks, *worth, *most_changed_lines(fit)], width, wrap=True)
 
 
 def summary(fit: Fit) -> str:
     """Return verdict and errors before and after: the beginning of `text_report`."""
-    head = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
-    verdict = judge(fit)
-    lines = verdict_lines(verdict, _MOST_REASONS)
-    return plain_text([head, *lines, "", change_text(fit, verdict.claim)], _WIDTH, wrap=True)
+    return plain_text(_beginning(fit, judge(fit)), _WIDTH, wrap=True)
+
+
+def _beginning(fit: Fit, verdict: Verdict) -> list[str | Table]:
+    return [_title(fit), *verdict_lines(verdict, _MOST_REASONS), "", change_text(fit, verdict.claim)]
+
+
+def _title(fit: Fit) -> str:
+    return f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
 
 
 def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:

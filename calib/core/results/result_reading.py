@@ -11,8 +11,7 @@ import numpy as np
 from calib.core.base.errors import ComputationError, DataError, DescriptionError
 from calib.core.results import version_1
 from calib.core.results.loaded_result import LoadedResult
-from calib.core.results.result_content import NOMINAL_YAML
-from calib.core.results.saved_fit import read_saved, saved_files
+from calib.core.results.saved_fit import NOMINAL_YAML, read_saved, saved_files
 from calib.core.robots import loading
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.terms import stored_terms

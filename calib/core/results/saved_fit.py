@@ -52,6 +52,8 @@ VERSION = 2
 """Version of the format of a result folder."""
 SAVED = "fit.npz"
 """File of a result folder that is read back."""
+NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
+"""Files of the nominal robot in a result folder."""
 _MEASUREMENTS = ("joints", "labels", "names", "path", "ignored", "comments", "context", "approach", "setups", "order",
                  "approach_assumed")  # fmt: skip
 _READINGS = ("visits", "pairs", "values", "covariance", "details", "labels")

@@ -192,21 +192,17 @@ class EarlierResult(LoadedResult):
         """Return the readings, from `residuals.csv`."""
         table, joints = self._residuals, self._joints()
         sets, targets = np.array(table.text("set")), np.array(table.text("target"))
-        first = next(k for k, name in enumerate(table.names) if name.startswith("error_after_"))
         errors = [k for k, name in enumerate(table.names) if name.startswith("error_after_")]
-        errors = [k for k in errors if table.units[k] == table.units[first]]
-        sums = (sum(float(row[k] or 0) ** 2 for k in errors) if row[first] else np.nan for row in table.rows)
+        first, same = errors[0], [k for k in errors if table.units[k] == table.units[errors[0]]]
+        sums = (sum(float(row[k] or 0) ** 2 for k in same) if row[first] else np.nan for row in table.rows)
         squares = np.array(list(sums))
         result: dict[str, dict[bytes, float]] = {str(name): {} for name in dict.fromkeys(sets)}
         for name in dict.fromkeys(targets.tolist()):
             instrument = self.robot.instrument(name)
-            cells = {
-                column.name: table.column(
-                    f"measured_{column.name.removeprefix(f'{name}_')}", column.dimension, gaps=True
-                )
-                for column in instrument.columns()
-            }
-            values = np.broadcast_to(instrument.values(cells), (len(sets), instrument.values(cells).shape[1]))
+            heads = {column: f"measured_{column.name.removeprefix(f'{name}_')}" for column in instrument.columns()}
+            cells = {c.name: table.column(head, c.dimension, gaps=True) for c, head in heads.items()}
+            values = instrument.values(cells)
+            values = np.broadcast_to(values, (len(sets), values.shape[1]))
             for label, own in result.items():
                 rows = np.flatnonzero((sets == label) & (targets == name))
                 own.update(zip(reading_keys(name, joints[rows], values[rows]), squares[rows].tolist(), strict=True))

@@ -76,10 +76,9 @@ class Accuracy:
     @property
     def pose_words(self) -> str:
         """The poses in words."""
-        counts = count_noun(self.n_poses, "pose")
-        return (
-            f"{self.n_poses} validation poses" if self.poses is PoseUse.VALIDATION else f"{counts} {self.poses.value}"
-        )
+        if self.poses is PoseUse.VALIDATION:
+            return f"{self.n_poses} validation poses"
+        return f"{count_noun(self.n_poses, 'pose')} {self.poses.value}"
 
     def in_unit(self, error: float) -> str:
         """Return an error [SI] with its unit."""

@@ -8,55 +8,39 @@ Each strongly connected part of C_p's pattern, such as each five-bar, has its ow
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.core.base.units import quantity_text
 from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
 from calib.core.robots import kinematics
 from calib.core.robots.mechanism import Mechanism, RelativeFrame
 
 
-class LoopRows:
-    """The rows of all loops of a mechanism, computed for some poses at a time."""
+def sweep_loops(
+    shared: kinematics.SweepCache, actuated: FloatArray, passive: FloatArray, coordinates: kinematics.Coordinates
+) -> tuple[FloatArray, FloatArray]:
+    """Return r (n, n_rows) at poses (n, n_actuated), (n, n_passive) [m or rad], and its derivative by coordinates.
 
-    def __init__(self, mechanism: Mechanism) -> None:
-        self.mechanism, self.shared = mechanism, kinematics.SweepCache(mechanism, mechanism.loops)
-        signs = mechanism.loop_signs[:, self.shared.reduced.joints]
-        self.passive, self.moving = (
-            kinematics.Coordinates.from_signs(self.shared.reduced, signs, select)
-            for select in (mechanism.select_passive, mechanism.select_moving)
-        )
-
-    def chunks(self, n: int) -> Iterator[slice]:
-        """Yield n poses in parts small enough for the processor's cache."""
-        return kinematics.chunks(n, kinematics.n_at_once(self.shared.reduced))
-
-    def sweep_at(self, actuated: FloatArray, passive: FloatArray) -> kinematics.Sweep:
-        """Return the kinematics of poses (n, n_actuated), (n, n_passive) [m or rad]."""
-        joints = self.mechanism.all_joints(actuated, passive)
-        return kinematics.sweep(self.mechanism, joints, self.mechanism.loops, self.shared)
-
-    def passive_derivative(self, coordinates: kinematics.Coordinates, swept: kinematics.Sweep) -> FloatArray:
-        """Return C_p if `coordinates` are `passive`, (n, n_rows, n_passive), or [C_p C_a] if they are `moving`."""
-        return kinematics.joint_derivative(swept, kinematics.gap_maps(swept), coordinates)
+    That is C_p (n, n_rows, n_passive) by `shared.passive`, and [C_p C_a] by `shared.moving`.
+    """
+    mechanism = shared.mechanism
+    swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), mechanism.loops, shared)
+    return kinematics.gaps(swept), kinematics.joint_derivative(swept, kinematics.gap_maps(swept), coordinates)
 
 
 def residual(
     mechanism: Mechanism, actuated: FloatArray, passive: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
-    rows, n_passive = LoopRows(mechanism), len(mechanism.passive)
+    shared, n_passive = kinematics.SweepCache(mechanism, mechanism.loops), len(mechanism.passive)
     values = np.empty((len(actuated), len(mechanism.loop_signs)))
     slope = np.empty((*values.shape, mechanism.select_moving.shape[1]))
-    for part in rows.chunks(len(actuated)):
-        swept = rows.sweep_at(actuated[part], passive[part])
-        values[part], slope[part] = kinematics.gaps(swept), rows.passive_derivative(rows.moving, swept)
+    for part in shared.chunks(len(actuated)):
+        values[part], slope[part] = sweep_loops(shared, actuated[part], passive[part], shared.moving)
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
 
 
@@ -82,10 +66,10 @@ def motion(
     swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
     mapping = kinematics.motion_map(swept, kinematics.motion_rows(swept, (target,), angular=True))
 
+    signs, reduced = mechanism.direction_signs(target), swept.shared.reduced
+
     def derivative_by(select: FloatArray) -> FloatArray:
-        coordinates = kinematics.Coordinates.from_signs(
-            swept.reduced, mechanism.direction_signs(target)[None, swept.reduced.joints], select
-        )
+        coordinates = kinematics.Coordinates.from_signs(reduced, signs[None, reduced.joints], select)
         return kinematics.joint_derivative(swept, mapping, coordinates)
 
     jacobian = derivative_by(mechanism.select_actuated)
@@ -111,21 +95,6 @@ def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArr
         return np.full(len(slope_passive), np.inf)
     values: FloatArray = linalg.singular_values(scale_closure(mechanism, slope_passive))
     return values[:, -1]
-
-
-def loop_openings(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each loop is open by r (n, n_rows): lengths [m] and angles [rad], (n, n_loops) each."""
-    ends = np.cumsum([len(loop.rows) for loop in mechanism.loops])[:-1]
-    lengths = np.split(np.where(mechanism.is_metre_row, values, 0.0), ends, axis=1)
-    angles = np.split(np.where(mechanism.is_metre_row, 0.0, values), ends, axis=1)
-    norms = [np.stack([np.linalg.norm(part, axis=1) for part in parts], axis=1) for parts in (lengths, angles)]
-    return norms[0], norms[1]
-
-
-def gap_text(length: float, angle: float, form: str = "") -> str:
-    """Say a gap in mm, and in degrees where a loop's directions do not agree, in a form if it is given."""
-    turned = f" and {quantity_text(angle, 'deg', form or '.3g')}" if angle > 0 else ""
-    return quantity_text(length, "mm", form or ".3f") + turned
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +124,38 @@ class AssemblyMode(ReadOnlyArrays):
     def holds(self, slope: FloatArray) -> BoolArray:
         """Return which configurations are in this mode, from their C_p (n, n_passive, n_passive): (n,)."""
         return (block_signs(slope, self.block_rows, self.block_columns) == self.signs).all(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopSolution:
+    """Solved loops.
+
+    Attributes:
+        passive: Passive joints, NaN where a pose does not close, (n, n_passive) [m or rad].
+        ok: Mask of the poses that closed, (n,).
+        slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); None where it was not computed.
+    """
+
+    passive: FloatArray
+    ok: BoolArray
+    slope: FloatArray | None
+
+    @staticmethod
+    def empty(n: int, n_passive: int) -> LoopSolution:
+        """Return n poses of which none is solved yet."""
+        slope = np.full((n, n_passive, n_passive), np.nan)
+        return LoopSolution(np.full((n, n_passive), np.nan), np.zeros(n, dtype=bool), slope)
+
+    def take(self, other: LoopSolution, index: IntArray) -> None:
+        """Store the solved ones of `other` in place, which are those of the poses `index`, (n_other,)."""
+        rows = index[other.ok]
+        self.passive[rows], self.ok[rows] = other.passive[other.ok], True
+        if self.slope is not None and other.slope is not None:
+            self.slope[rows] = other.slope[other.ok]
+
+    def select(self, index: IntArray) -> LoopSolution:
+        """Return the poses with these indices, (n,)."""
+        return LoopSolution(self.passive[index], self.ok[index], None if self.slope is None else self.slope[index])
 
 
 def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ...]]:

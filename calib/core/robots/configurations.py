@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, numbers_in
 from calib.core.base.errors import DataError, UnreachablePoseError
 from calib.core.robots import loops
-from calib.core.robots.closure import residual, singular_values
+from calib.core.robots.closure import LoopSolution, residual, singular_values
 from calib.core.robots.joint_errors import actual_joints, term_columns
 from calib.core.robots.robot_data import RobotData
 from calib.core.robots.terms.term import Context
@@ -56,15 +56,12 @@ def joint_vector(robot: RobotData, q: ArrayLike) -> FloatArray:
             f"joint values of shape {shape}; expected (n, {len(robot.joint_names)}) in the order"
             f" {', '.join(robot.joint_names)}{hint}"
         )
-    if not np.all(np.isfinite(values)):
-        row, column = np.argwhere(~np.isfinite(values))[0]
-        raise DataError(f"pose {row}: joint '{robot.joint_names[column]}' is not finite")
-    if np.any(np.abs(values) > _LARGEST_JOINT):
-        row, column = np.argwhere(np.abs(values) > _LARGEST_JOINT)[0]
-        raise DataError(
-            f"pose {row}: joint '{robot.joint_names[column]}' is {values[row, column]:.3g} m or rad, which no robot"
-            " reaches; check the value and its unit"
-        )
+    possible = np.abs(values) <= _LARGEST_JOINT  # false for NaN
+    if not np.all(possible):
+        row, column = np.argwhere(~possible)[0]
+        size = f"{values[row, column]:.3g} m or rad, which no robot reaches; check the value and its unit"
+        why = size if np.isfinite(values[row, column]) else "not finite"
+        raise DataError(f"pose {row}: joint '{robot.joint_names[column]}' is {why}")
     return values
 
 
@@ -76,7 +73,7 @@ def close(
     *,
     thorough: bool = True,
     limits: bool = True,
-) -> loops.LoopSolution:
+) -> LoopSolution:
     """Solve the loops of each pose without raising; see `Robot.close`."""
     values = joint_vector(robot, q)
     actual = actual_joints(robot, values, term_columns(robot, values) if columns is None else columns)
@@ -93,7 +90,7 @@ def configurations_if_closed(
 
 
 def solve_configurations(
-    robot: RobotData, q: FloatArray, closed: loops.LoopSolution, columns: tuple[FloatArray, ...] | None = None
+    robot: RobotData, q: FloatArray, closed: LoopSolution, columns: tuple[FloatArray, ...] | None = None
 ) -> Configurations:
     """Return closed poses of commands q (n, n_actuated) as configurations."""
     phi = term_columns(robot, q) if columns is None else columns
@@ -138,9 +135,7 @@ def near_singularity(label: str, value: float, limit: float) -> str:
     return f"{label}: {value:.2g} from a singularity of the loops (limit {limit:g})"
 
 
-def describe_open(
-    robot: RobotData, q: FloatArray, closed: loops.LoopSolution, labels: Sequence[str] | None = None
-) -> str:
+def describe_open(robot: RobotData, q: FloatArray, closed: LoopSolution, labels: Sequence[str] | None = None) -> str:
     """Say which of the poses q (n, n_actuated) do not close, at which loop, and by how much the first one misses."""
     poses = np.flatnonzero(~closed.ok)
     names = labels or [f"pose {k}" for k in range(len(closed.ok))]

@@ -31,7 +31,7 @@ from calib.core.base.arrays import BoolArray, FloatArray, IntArray
 from calib.core.base.threads import one_blas_thread
 from calib.core.robots import kinematics
 from calib.core.robots.acceleration import kernels
-from calib.core.robots.closure import AssemblyMode, LoopRows
+from calib.core.robots.closure import AssemblyMode, LoopSolution, sweep_loops
 from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.mechanism import Mechanism
 
@@ -105,14 +105,14 @@ def _correct(
 
     `limits` of residuals: of a closed pose, if computed, and if predicted from the two before it.
     """
-    (enough, sure), (n, n_passive), loops = limits, passive.shape, LoopRows(mechanism)
-    coordinates = loops.moving if len(slope) else loops.passive
-    for part in loops.chunks(n):
+    (enough, sure), (n, n_passive) = limits, passive.shape
+    shared = kinematics.SweepCache(mechanism, mechanism.loops)
+    coordinates = shared.moving if len(slope) else shared.passive
+    for part in shared.chunks(n):
         index = np.arange(part.start, part.stop)
         last, before = np.full(len(index), np.inf), np.zeros(len(index))
         for _ in range(_MAX_NEWTON):
-            swept = loops.sweep_at(actuated[index], passive[index])
-            values, slopes = kinematics.gaps(swept), loops.passive_derivative(coordinates, swept)
+            values, slopes = sweep_loops(shared, actuated[index], passive[index], coordinates)
             worst = np.max(np.abs(values), axis=1)
             done = worst <= enough
             on = ~done
@@ -150,70 +150,44 @@ def solve_each(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 @one_blas_thread
-def follow(
-    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, thorough: bool = True
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+def follow(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, thorough: bool = True) -> LoopSolution:
     """Solve poses (n, n_actuated) [m or rad] in the assembly mode of home, by the ways of the module docstring.
 
-    Args:
-        thorough: Whether every way is tried for poses that cannot be reached from the nearest solved one.
-
-    Returns:
-        Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses were solved (n,); limits of
-        the passive joints play no part.
+    Limits of the passive joints play no part. If not `thorough`, only the way from the nearest solved pose is tried.
     """
-    solutions = _Solutions(len(actuated), len(mechanism.passive))
-    home_p, _, home_ok = carry(mechanism, mode, mode.actuated[None], mode.passive[None])
-    known = (mode.actuated[None], home_p)
-    if home_ok[0] and not thorough:
+    at_home = mode.actuated[None], mode.passive[None]
+    home = carry(mechanism, mode, *at_home)
+    known = at_home[0], home.passive
+    if home.ok[0] and not thorough:
         return _solve_outwards(mechanism, mode, known, actuated, thorough=False)
-    if home_ok[0]:
-        solutions.take(*_solve_outwards(mechanism, mode, known, actuated))
-    todo = np.flatnonzero(~solutions.ok)
+    solution = LoopSolution.empty(len(actuated), len(mechanism.passive))
+    if home.ok[0]:
+        solution = _solve_outwards(mechanism, mode, known, actuated)
+    todo = np.flatnonzero(~solution.ok)
     if len(todo) and mechanism is not mode.mechanism:
-        passive, _, ok = _solve_outwards(
-            mode.mechanism, mode, (mode.actuated[None], mode.passive[None]), actuated[todo]
-        )
-        todo = todo[ok]
-        solutions.take(*carry(mechanism, mode, actuated[todo], passive[ok]), todo)
-        todo = np.flatnonzero(~solutions.ok)
-    if len(todo) and home_ok[0]:
+        nominal = _solve_outwards(mode.mechanism, mode, at_home, actuated[todo])
+        todo = todo[nominal.ok]
+        solution.take(carry(mechanism, mode, actuated[todo], nominal.passive[nominal.ok]), todo)
+        todo = np.flatnonzero(~solution.ok)
+    if len(todo) and home.ok[0]:
         stones = _stepping_stones(mechanism, mode, actuated[todo])
-        passive, _, ok = _solve_outwards(mechanism, mode, known, stones)
-        solutions.take(
-            *_solve_from_nearest(mechanism, mode, (stones[ok], passive[ok]), actuated[todo], _FROM_STONES), todo
-        )
-    return solutions.passive, solutions.slope, solutions.ok
-
-
-class _Solutions:
-    """Solved poses so far: passive joints, C_p, and a mask."""
-
-    def __init__(self, n: int, n_passive: int) -> None:
-        self.passive, self.slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
-        self.ok = np.zeros(n, dtype=bool)
-
-    def take(self, passive: FloatArray, slope: FloatArray, ok: BoolArray, index: IntArray | None = None) -> None:
-        """Store the solutions `ok` of the poses `index`, or of all poses."""
-        rows = np.flatnonzero(ok) if index is None else index[ok]
-        self.passive[rows], self.slope[rows], self.ok[rows] = passive[ok], slope[ok], True
+        there = _solve_outwards(mechanism, mode, known, stones)
+        known = stones[there.ok], there.passive[there.ok]
+        solution.take(_solve_from_nearest(mechanism, mode, known, actuated[todo], _FROM_STONES), todo)
+    return solution
 
 
 def carry(
     mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray, *, slopes: bool = True
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+) -> LoopSolution:
     """Follow configurations that close the nominal mechanism while its origins move to those of `mechanism`.
 
     Args:
         mode: Nominal mechanism and assembly mode.
         actuated, passive: The configurations, (n, n_actuated), (n, n_passive) [m or rad]; actuated joints stay.
         slopes: Whether C_p is wanted.
-
-    Returns:
-        Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), NaN if not wanted, and which poses arrived
-        (n,).
     """
-    solutions = _Solutions(len(actuated), passive.shape[1])
+    solution = LoopSolution.empty(*passive.shape)
 
     def go(index: IntArray, at: FloatArray, low: float, high: float) -> tuple[IntArray, FloatArray]:
         """Go from the part `low` of the change to `high`; return which poses arrived, and their passive joints."""
@@ -221,7 +195,7 @@ def carry(
         solved, slope, _, ok = newton(partway, mode, actuated[index], at, slopes=slopes)
         ok &= np.max(np.abs((solved - at) / partway.passive_scale), axis=1, initial=0.0) < 4 * LARGEST_STEP
         if high == 1:
-            solutions.take(solved, slope if slopes else solutions.slope[index], ok, index)
+            solution.take(LoopSolution(solved, ok, slope if slopes else None), index)
         left = np.flatnonzero(~ok)
         if len(left) == 0 or high - low < _SMALLEST_CHANGE:
             return index[ok], solved[ok]
@@ -232,7 +206,7 @@ def carry(
 
     if len(actuated):
         go(np.arange(len(actuated)), passive, 0.0, 1.0)
-    return solutions.passive, solutions.slope, solutions.ok
+    return solution
 
 
 def _solve_outwards(
@@ -242,23 +216,23 @@ def _solve_outwards(
     actuated: FloatArray,
     *,
     thorough: bool = True,
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+) -> LoopSolution:
     """Solve poses nearest to home first, each from the nearest pose solved so far; try the rest again at the end."""
-    solutions = _Solutions(len(actuated), len(mechanism.passive))
+    solution = LoopSolution.empty(len(actuated), len(mechanism.passive))
     effort = (_NEIGHBOURS, _SMALLEST_PART) if thorough else (1, _SMALLEST_AT_ONCE)
     points = actuated / mechanism.driven_scale
     order = np.argsort(np.linalg.norm(points - known[0][0] / mechanism.driven_scale, axis=1), kind="stable")
     start, size = 0, 8
     while start < len(order):
         batch = order[start : start + size]
-        solutions.take(*_solve_from_nearest(mechanism, mode, known, actuated[batch], *effort), batch)
-        solved = batch[solutions.ok[batch]][:: 1 + len(batch) // _MOST_KNOWN]
-        known = np.vstack([known[0], actuated[solved]]), np.vstack([known[1], solutions.passive[solved]])
+        solution.take(_solve_from_nearest(mechanism, mode, known, actuated[batch], *effort), batch)
+        solved = batch[solution.ok[batch]][:: 1 + len(batch) // _MOST_KNOWN]
+        known = np.vstack([known[0], actuated[solved]]), np.vstack([known[1], solution.passive[solved]])
         start, size = start + size, size * 2
-    left = np.flatnonzero(~solutions.ok)
+    left = np.flatnonzero(~solution.ok)
     if len(left) and len(known[0]) > _NEIGHBOURS:
-        solutions.take(*_solve_from_nearest(mechanism, mode, known, actuated[left], *effort), left)
-    return solutions.passive, solutions.slope, solutions.ok
+        solution.take(_solve_from_nearest(mechanism, mode, known, actuated[left], *effort), left)
+    return solution
 
 
 def _solve_from_nearest(
@@ -268,23 +242,23 @@ def _solve_from_nearest(
     actuated: FloatArray,
     neighbours: int,
     smallest: float = _SMALLEST_PART,
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+) -> LoopSolution:
     """Solve poses from known ones, the nearest first; another way round where the straight line is blocked."""
-    solutions, scale = _Solutions(len(actuated), len(mechanism.passive)), mechanism.driven_scale
+    solution, scale = LoopSolution.empty(len(actuated), len(mechanism.passive)), mechanism.driven_scale
     count = min(neighbours, len(known[0]))
     if count == 0 or len(actuated) == 0:
-        return solutions.passive, solutions.slope, solutions.ok
+        return solution
     places = scipy.spatial.cKDTree(known[0] / scale)
     for ranks in (range(1, 2), range(2, count + 1)):  # all others at once: each way that fails takes many steps
-        todo = np.flatnonzero(~solutions.ok)
+        todo = np.flatnonzero(~solution.ok)
         if len(todo) == 0 or len(ranks) == 0:
             break
         starts = places.query(actuated[todo] / scale, k=ranks)[1].ravel()
         goals = np.repeat(todo, len(ranks))
-        passive, slope, ok = _continue(mechanism, mode, (known[0][starts], known[1][starts]), actuated[goals], smallest)
-        arrived, first = np.unique(goals[ok], return_index=True)
-        solutions.take(passive[ok][first], slope[ok][first], np.ones(len(first), dtype=bool), arrived)
-    return solutions.passive, solutions.slope, solutions.ok
+        there = _continue(mechanism, mode, (known[0][starts], known[1][starts]), actuated[goals], smallest)
+        arrived, first = np.unique(goals[there.ok], return_index=True)
+        solution.take(there.select(np.flatnonzero(there.ok)[first]), arrived)
+    return solution
 
 
 def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> FloatArray:
@@ -298,7 +272,7 @@ def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatAr
 
 def _continue(
     mechanism: Mechanism, mode: AssemblyMode, start: tuple[FloatArray, FloatArray], goal: FloatArray, smallest: float
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+) -> LoopSolution:
     """Follow the solution from actuated and passive joints to the actuated joints `goal` with adaptive steps.
 
     If the last step failed and few poses are left, several shorter steps are tried together. The longest accepted one
@@ -331,4 +305,4 @@ def _continue(
         on, took = good[further], took[further]
         tangent[on] = solve_each(new_slope[took], np.matmul(new_slope_a[took], way[on, :, None])[:, :, 0])
         active = active[(done[active] < 1) & (part[active] >= smallest)]
-    return at_p, slope, done >= 1
+    return LoopSolution(at_p, done >= 1, slope)

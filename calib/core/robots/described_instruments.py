@@ -76,24 +76,23 @@ def places_of(description: Description, instruments: tuple[Instrument, ...], whe
     for setup, moved in description.setups.items():
         for name in moved:
             require_known(name, ("base", *names[1:]), f"{where}: setups.{setup}: no place", DescriptionError)
-            key = _key(name)
-            original = places[names.index(key)]
+            original = places[names.index(_key(name))]
             if not original.unknown:
                 raise DescriptionError(
                     f"{where}: setups.{setup}: '{name}' was moved, but its place is said to be known; set it to"
                     " 'unknown'"
                 )
-            places.append(replace(original, name=_later(key, setup)))
+            places.append(replace(original, name=_later(original.name, setup)))
     return tuple(places)
 
 
 def pair_names(description: Description, instrument: Instrument) -> tuple[tuple[str, str], ...]:
     """Return the frames that an instrument looks from and at: all pairs of the first setup, then of the next."""
-    result: list[tuple[str, str]] = []
-    for setup in list(description.setups) or [""]:
-        for a, b in instrument.pairs(MEASUREMENT_FRAME):
-            result.append((_place_in_setup(description, a, setup), _place_in_setup(description, b, setup)))
-    return tuple(result)
+    return tuple(
+        (_place_in_setup(description, a, setup), _place_in_setup(description, b, setup))
+        for setup in description.setups or [""]
+        for a, b in instrument.pairs(MEASUREMENT_FRAME)
+    )
 
 
 def _key(name: str) -> str:
@@ -109,8 +108,8 @@ def _place_in_setup(description: Description, place: str, setup: str) -> str:
     """Name that a place has in a setup: the one of its latest move."""
     current = place
     for name, moved in description.setups.items():
-        if place in [_key(key) for key in moved]:
+        if place in map(_key, moved):
             current = _later(place, name)
         if name == setup:
-            return current
+            break
     return current

@@ -173,16 +173,12 @@ class Description(Section):
     lag: Annotated[float, Field(gt=0)] = 0.02
 
     @model_validator(mode="after")
-    def _check_names(self) -> Description:
+    def _check_lists(self) -> Description:
         for key in ("name_mot", "held", "elimination_order"):
             names = getattr(self, key)
             again = next((name for k, name in enumerate(names) if name in names[:k]), None)
             if again is not None:
                 raise ValueError(f"'{key}' names '{again}' twice")
-        return self
-
-    @model_validator(mode="after")
-    def _loops_agree(self) -> Description:
         n = len(self.closed_loop)
         for key in ("type", "closed_loop_axes"):
             entries = getattr(self, key)
@@ -256,10 +252,10 @@ def _one_line(error: ValidationError) -> str:
     if first["type"] == UNKNOWN_KEY:
         return f"unknown key '{_place([*location, first['ctx']['key']])}'{first['ctx']['hint']}"
     place = _place(location)
-    if first["type"] == "missing" and isinstance(location[-1], str):
-        return f"key '{place}' is missing"
     if first["type"] == "missing":
-        return f"{_place(location[:-1])}: entry {int(location[-1]) + 1} is missing"
+        *before, last = location
+        missing = f"key '{place}'" if isinstance(last, str) else f"{_place(before)}: entry {last + 1}"
+        return f"{missing} is missing"
     return (f"{place}: " if place else "") + _complaint(first)
 
 
@@ -274,8 +270,7 @@ def _is_tag(k: int, location: tuple[int | str, ...]) -> bool:
 
 def _place(location: list[int | str]) -> str:
     """Write a place in the file as `targets.tool.xyz[2]`."""
-    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
-    return text.removeprefix(".")
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
 
 
 def _complaint(detail: ErrorDetails) -> str:
@@ -287,9 +282,8 @@ def _complaint(detail: ErrorDetails) -> str:
         valid = re.findall("'([^']*)'", context["expected"])
         return f"unknown value '{given}'{nearest(str(given), valid)}"
     if kind in ("too_short", "too_long"):
-        least = kind == "too_short"
-        number = context["min_length" if least else "max_length"]
-        return f"should have at {'least' if least else 'most'} {number} entries, not {context['actual_length']}"
+        limit = f"least {context['min_length']}" if kind == "too_short" else f"most {context['max_length']}"
+        return f"should have at {limit} entries, not {context['actual_length']}"
     shown = "" if isinstance(given, (dict, list)) else f" (given: {given!r:.60})"
     if kind == "string_type":
         return f"should be text{'' if isinstance(given, (dict, list)) else '; put it in quotes'}{shown}"

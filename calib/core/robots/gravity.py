@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib.core.base.arrays import FloatArray, IntArray
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, nearest, require_known
 from calib.core.base.parameter import Parameter
 from calib.core.base.units import Dimension
@@ -90,8 +90,8 @@ def check_inclinometers(description: Description, mechanism: Mechanism, where: s
         support = mechanism.support[mechanism.frames[section.frame]]
         for name in section.joints:
             if name not in mechanism.actuated:
-                close = nearest(name, mechanism.actuated)
-                raise DescriptionError(f"{place}.joints: no joint '{name}' in name_mot{close}")
+                hint = nearest(name, mechanism.actuated)
+                raise DescriptionError(f"{place}.joints: no joint '{name}' in name_mot{hint}")
             if name in taken:
                 raise DescriptionError(f"{place}.joints: '{name}' is read by '{taken[name]}' already")
             if mechanism.dimensions[name] != "angle":
@@ -99,14 +99,18 @@ def check_inclinometers(description: Description, mechanism: Mechanism, where: s
             if not support[mechanism.origin_names.index(name)]:
                 raise DescriptionError(f"{place}.joints: '{name}' does not move {section.frame}; name one that does")
             taken[name] = sensor
-        if np.any(support @ mechanism.select_passive):
+        if _hangs_in_loop(mechanism, section.frame):
             raise DescriptionError(f"{place}.frame: {section.frame} hangs in a loop; name a link before the loop")
-    for sensor, section in description.inclinometers.items():
-        later = list(description.inclinometers)[list(description.inclinometers).index(sensor) + 1 :]
+    sensors = list(description.inclinometers)
+    for k, (sensor, section) in enumerate(description.inclinometers.items()):
         support = mechanism.support[mechanism.frames[section.frame]]
         for name, of in taken.items():
-            if of in later and support[mechanism.origin_names.index(name)]:
+            if of in sensors[k + 1 :] and support[mechanism.origin_names.index(name)]:
                 raise DescriptionError(f"{where}: inclinometers: list '{of}' before '{sensor}': it moves '{sensor}'")
+
+
+def _hangs_in_loop(mechanism: Mechanism, frame: str) -> bool:
+    return bool(np.any(mechanism.support[mechanism.frames[frame]] @ mechanism.select_passive))
 
 
 def turned_joints(
@@ -144,34 +148,21 @@ def turned_joints(
 def accelerations(robot: RobotData, joints: FloatArray, context: Context) -> tuple[FloatArray, tuple[FloatArray, ...]]:
     """Return the acceleration by gravity at each visit in the root link's axes, and its derivative by each found turn.
 
-    Args:
-        joints: All joints of the nominal robot, (n, n_joints) [m or rad].
-        context: Readings of sensors, and their setups.
-
-    Returns:
-        (n, 3) [m/s^2], and as many for each turn [m/s^2 per rad].
+    (n, 3) each [m/s^2], [m/s^2 per rad]; `joints` are all of the nominal robot, (n, n_joints) [m or rad].
     """
     section = robot.description.gravity or GravitySection()
-    down = _stated_direction(section, robot.description, len(joints), context)
+    down = section.stated_directions(tuple(robot.description.setups))[context.setup_numbers]
     if context.down is not None:
         read = _measured_direction(section, robot.nominal, joints, context.down)
         down = np.where(np.isnan(read), down, read)
     if not robot.turns_gravity:
         return STANDARD * down, ()
     turns = robot.values[robot.coefficients][-2:]
-    (first, of_first), (second, of_second) = (_turn(k, t) for k, t in zip(section.axes, turns, strict=True))
+    axes = np.eye(3)[list(section.axes)]
+    first, second = (pin.exp3(angle * axis) for angle, axis in zip(turns, axes, strict=True))
+    of_first, of_second = (pin.skew(axis) @ turn for axis, turn in zip(axes, (first, second), strict=True))
     turned = STANDARD * down @ second.T
     return turned @ first.T, (turned @ of_first.T, STANDARD * down @ of_second.T @ first.T)
-
-
-def _stated_direction(section: GravitySection, description: Description, n: int, context: Context) -> FloatArray:
-    """The direction at each of n visits as a description says it, (n, 3)."""
-    return section.stated_directions(tuple(description.setups))[_setups(n, context)]
-
-
-def _setups(n: int, context: Context) -> IntArray:
-    """Number of the setup of each of n visits, (n,)."""
-    return np.zeros(n, dtype=np.intp) if context.setups is None else context.setups
 
 
 def _measured_direction(
@@ -194,29 +185,21 @@ def contradiction_angles(robot: RobotData, q: FloatArray, context: Context) -> F
     section = description.gravity
     if section is None or context.down is None:
         return nothing
-    if section.frame is not None and np.any(
-        mechanism.support[mechanism.frames[section.frame]] @ mechanism.select_passive
-    ):
+    if section.frame is not None and _hangs_in_loop(mechanism, section.frame):
         return nothing
     names = tuple(description.setups) or ("",)
     stated = np.array(["down" in section.model_fields_set or name in section.setups for name in names])
     read = _measured_direction(section, mechanism, _open_joints(mechanism, q), context.down)
-    cosine = np.sum(read * _stated_direction(section, description, len(q), context), axis=1)
+    cosine = np.sum(read * section.stated_directions(names)[context.setup_numbers], axis=1)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-    known = stated[_setups(len(q), context)]
-    return np.where(known & (angle > max(_CONTRADICTS, 3.0 * (section.sigma or 0.0))), angle, nothing)
+    return np.where(
+        stated[context.setup_numbers] & (angle > max(_CONTRADICTS, 3.0 * (section.sigma or 0.0))), angle, nothing
+    )
 
 
 def _open_joints(mechanism: Mechanism, q: FloatArray) -> FloatArray:
     """All joints at commands q (n, n_actuated), passive ones at zero, (n, n_joints) [m or rad]."""
     return mechanism.all_joints(mechanism.without_tilts(q), np.zeros((len(q), len(mechanism.passive))))
-
-
-def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:
-    """The turn about an axis x, y or z (0, 1, 2), and its derivative, (3, 3) each."""
-    cross = np.cross(np.eye(3)[axis], np.eye(3)).T
-    rotation = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-    return rotation, cross @ rotation
 
 
 def turn_columns(robot: RobotData, q: FloatArray, context: Context, slopes: tuple[FloatArray, ...]) -> FloatArray:

@@ -29,7 +29,6 @@ from calib.core.robots.mechanism import Mechanism, RelativeFrame
 from calib.core.robots.robot import Robot
 
 _CHUNK_COPIED = 1 << 12  # chosen columns are copied twice
-_CHUNK_COMPILED = 256  # several times the number that compiled code computes at once; larger arrays need new pages
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +76,7 @@ def sweeps(
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     needed = pairs + mechanism.loops if loops else pairs
     shared = kinematics.SweepCache(mechanism, needed, kernels(mechanism, len(joints)))
-    size = kinematics.n_at_once(shared.reduced) if shared.functions is None else _CHUNK_COMPILED
-    for part in kinematics.chunks(len(joints), size):
+    for part in shared.chunks(len(joints)):
         yield part, kinematics.sweep(mechanism, joints[part], needed, shared, poses_only=needed == pairs)
 
 
@@ -86,14 +84,11 @@ def relative_poses(
     mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
 ) -> FloatArray:
     """Return the poses of frames b in frames a at assembled poses, (n_pairs, n, 4, 4) [m]."""
-    poses = np.tile(np.eye(4), (len(configurations.actuated), len(pairs), 1, 1))
-    frames = np.array([(pair.a, pair.b) for pair in pairs], dtype=np.intp).reshape(-1, 2).T
+    poses = np.empty((len(pairs), len(configurations.actuated), 4, 4))
     for part, swept in sweeps(mechanism, configurations, pairs, loops=False):
-        a, b = swept.index[frames]
-        inverse_a, offsets = swept.rotation[:, a].swapaxes(2, 3), swept.translation[:, b] - swept.translation[:, a]
-        poses[part, :, :3, :3] = np.matmul(inverse_a, swept.rotation[:, b])
-        poses[part, :, :3, 3] = np.matmul(inverse_a, offsets[..., None])[..., 0]
-    return poses.swapaxes(0, 1)
+        for k, pair in enumerate(pairs):
+            poses[k, part] = kinematics.relative_pose(swept, pair)
+    return poses
 
 
 def relative_motion(
@@ -160,9 +155,9 @@ def _motion(
         return result
     mapping, through = kinematics.motion_map(swept, rows), None
     if shared.mechanism.loops:
-        maps, (of_rows, of_loops) = kinematics.gap_maps(swept), along.passive
-        by_passive = direct + kinematics.joint_derivative(swept, mapping, of_rows)
-        slope = kinematics.joint_derivative(swept, maps, of_loops)
+        maps = kinematics.gap_maps(swept)
+        by_passive = direct + kinematics.joint_derivative(swept, mapping, along.passive)
+        slope = kinematics.joint_derivative(swept, maps, shared.passive)
         opened = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
         through = opened, maps
     kinematics.origin_derivative(swept, mapping, through, along, result)

@@ -37,22 +37,22 @@ def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, 
         valid, missing = (*mechanism.actuated, "all"), f"{where}: joint term '{section.term}': no actuated joint"
         require_known(section.joint, valid, missing, DescriptionError)
         for name in mechanism.actuated if section.joint == "all" else (section.joint,):
-            terms.append(_term(section, name, joints[name], mechanism, where))
+            terms.append(_term(section, joints[name], mechanism, where))
     return (*terms, *gravity_turn(description, terms, mechanism))
 
 
-def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanism, where: str) -> JointTerm:
-    dimension = mechanism.dimensions[name]
+def _term(section: TermSection, joint: UrdfJoint, mechanism: Mechanism, where: str) -> JointTerm:
+    kind, name, dimension = TERMS[section.term], joint.name, mechanism.dimensions[joint.name]
     place = f"{where}: joint term '{section.term}' of '{name}'"
     try:
-        unit: Dimension = "angle" if TERMS[section.term].tilts else dimension
+        unit: Dimension = "angle" if kind.tilts else dimension
         sigma = None if section.sigma is None else quantity(section.sigma, unit, f"{place}, sigma")
         if sigma is not None and sigma <= 0:
             raise InputError(f"{place}: sigma must be positive; leave the term out to have none")
-        stroke = joint.upper - joint.lower
-        if dimension == "length" and np.isfinite(stroke) and stroke > 0:
-            section = section.with_stroke(float(stroke))
-        return TERMS[section.term].from_section(Joint(name, dimension, mechanism.actuated), section, sigma)
+        stroke = float(joint.upper - joint.lower)
+        if dimension == "length" and 0 < stroke < np.inf:
+            section = section.with_stroke(stroke)
+        return kind.from_section(Joint(name, dimension, mechanism.actuated), section, sigma)
     except (InputError, ValueError) as error:
         text = str(error)
         raise DescriptionError(text if text.startswith(where) else f"{place}: {text}") from None

@@ -34,12 +34,8 @@ from calib.core.robots.mechanism import JointSubset, Mechanism, RelativeFrame, f
 CHUNK = 64
 """Number of poses to compute at a time: their arrays stay in the processor's cache, without new pages of memory."""
 _JOINTS_AT_ONCE = 48 * CHUNK
+_CHUNK_COMPILED = 256  # several times the number that compiled code computes at once; larger arrays need new pages
 _AT_HOME = np.array([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
-
-
-def n_at_once(reduced: JointSubset) -> int:
-    """Return how many poses to compute at a time: more than `CHUNK` if few joints count."""
-    return max(CHUNK, _JOINTS_AT_ONCE // max(len(reduced.joints), 1))
 
 
 def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
@@ -51,7 +47,7 @@ def chunks(n: int, size: int = CHUNK) -> Iterator[slice]:
 
 def twists_in_world(swept: Sweep, joints: IntArray, twists: FloatArray) -> FloatArray:
     """Return Ad(T_before) xi, (n, 6, n_twists), of twists xi (n_twists, 6) before origins, `joints` (n_twists,)."""
-    before, (n, k) = swept.reduced.parents[joints], (len(swept.poses), len(joints))
+    before, (n, k) = swept.shared.reduced.parents[joints], (len(swept.poses), len(joints))
     frames, at = np.unique(before, return_inverse=True)
     spread = np.zeros((len(frames), 3, 2, k))  # R xi of all frames and twists is one product
     spread[at, :, :, np.arange(k)] = twists.reshape(k, 2, 3).transpose(0, 2, 1)
@@ -87,12 +83,9 @@ class TwistMap:
     select: FloatArray
 
     @cached_property
-    def passive(self) -> tuple[Coordinates, Coordinates]:
-        """The passive joints, as they move the rows, and those of the loops."""
-        of_rows, of_loops = self.signs[: self.n_rows], self.signs[self.n_rows :]
-        return Coordinates.from_signs(self.reduced, of_rows, self.select), Coordinates.from_signs(
-            self.reduced, of_loops, self.select
-        )
+    def passive(self) -> Coordinates:
+        """The passive joints, as they move the rows."""
+        return Coordinates.from_signs(self.reduced, self.signs[: self.n_rows], self.select)
 
     @cached_property
     def entries(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -163,6 +156,24 @@ class SweepCache:
         data = pin.Data(model)
         return model, data, flat_poses(data.oMi)[1:], data.J.T
 
+    def chunks(self, n: int) -> Iterator[slice]:
+        """Yield n poses in parts small enough for the processor's cache: larger ones if few joints count."""
+        few_joints = max(CHUNK, _JOINTS_AT_ONCE // max(len(self.reduced.joints), 1))
+        return chunks(n, few_joints if self.functions is None else _CHUNK_COMPILED)
+
+    @cached_property
+    def passive(self) -> Coordinates:
+        """The passive joints, as they move the rows of the loops."""
+        return self._moving_loops(self.mechanism.select_passive)
+
+    @cached_property
+    def moving(self) -> Coordinates:
+        """The passive joints, then the driven ones, as they move the rows of the loops."""
+        return self._moving_loops(self.mechanism.select_moving)
+
+    def _moving_loops(self, select: FloatArray) -> Coordinates:
+        return Coordinates.from_signs(self.reduced, self.mechanism.loop_signs[:, self.reduced.joints], select)
+
     @cached_property
     def tree(self) -> Any:
         """The model as arrays for compiled code."""
@@ -205,14 +216,9 @@ class Sweep:
     jacobian: FloatArray | None
 
     @property
-    def reduced(self) -> JointSubset:
-        """The joints that count."""
-        return self.shared.reduced
-
-    @property
     def index(self) -> IntArray:
         """Position of a joint index in the second axis of `rotation` and `translation`, (n_joints + 1,)."""
-        return self.reduced.places
+        return self.shared.reduced.places
 
     @cached_property
     def rotation(self) -> FloatArray:

@@ -111,7 +111,7 @@ def describe(chain: ArmChain, urdf_path: str) -> Description:
         urdf=urdf_path,
         name_mot=chain.joints,
         base=BaseSection(frame=chain.base, pose="unknown"),
-        targets={chain.target: TargetSection(frame=chain.target, position="unknown")},
+        targets={chain.target: TargetSection(frame=chain.target, position="unknown", sigma="500 mm")},
         parametrisation=default_sections(),
     )
 
@@ -207,33 +207,32 @@ def _check_columns(
     texts = {"pose", "setup", *labels, *(name for instrument in instruments for name in instrument.text_columns())}
     taken: dict[str, str] = {}
     for foreign, column in description.columns.items():
-        mapped = mapped_column(column)
+        mapped, place = mapped_column(column), f"{where}: columns.{foreign}"
         name, unit = mapped.name, mapped.unit
         if name in taken:
             raise DescriptionError(f"{where}: columns: '{taken[name]}' and '{foreign}' both stand for '{name}'")
         taken[name] = foreign
         if name in texts:
-            if unit is None and mapped.plain:
-                continue
-            raise DescriptionError(f"{where}: columns.{foreign}: '{name}' holds words; leave out unit, sign and factor")
-        require_known(name, dimensions.keys() | texts, f"{where}: columns.{foreign}: no column", DescriptionError)
-        dimension = dimensions[name]
+            if unit is not None or not mapped.plain:
+                raise DescriptionError(f"{place}: '{name}' holds words; leave out unit, sign and factor")
+            continue
+        require_known(name, dimensions.keys() | texts, f"{place}: no column", DescriptionError)
         if mapped.factor == 0.0:
-            raise DescriptionError(f"{where}: columns.{foreign}: a factor of zero loses the column; correct it")
-        if mapped.offset and dimension is not None and unit is None:
-            raise DescriptionError(f"{where}: columns.{foreign}: say the unit of the offset, such as [deg] or [mm]")
-        if dimension is not None:
-            per_si(unit, dimension, f"{where}: columns.{foreign}", DescriptionError)
+            raise DescriptionError(f"{place}: a factor of zero loses the column; correct it")
+        if (dimension := dimensions[name]) is not None:
+            if mapped.offset and unit is None:
+                raise DescriptionError(f"{place}: say the unit of the offset, such as [deg] or [mm]")
+            per_si(unit, dimension, place, DescriptionError)
 
 
 def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], where: str) -> None:
     """Raise `DescriptionError` if an instrument reads a joint that does not move, or in the wrong dimension."""
+    moves = np.any(mechanism.select_moving, axis=1)
+    moving = [name for name, is_moved in zip(mechanism.origin_names, moves, strict=True) if is_moved]
     for instrument in instruments:
         if not isinstance(instrument, JointInstrument):
             continue
         place = f"{where}: instruments.{instrument.name}.joint"
-        moves = np.any(mechanism.select_moving, axis=1)
-        moving = [name for name, is_moved in zip(mechanism.origin_names, moves, strict=True) if is_moved]
         require_known(instrument.joint, moving, f"{place}: no moving joint", DescriptionError)
         dimension_read, dimension = instrument.parts[0].dimension, mechanism.dimensions[instrument.joint]
         if dimension_read != dimension:

@@ -16,26 +16,16 @@ as passive joints, and they must be independent at home.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray, hold
+from calib.core.base.arrays import BoolArray, FloatArray, hold
 from calib.core.base.errors import DescriptionError
-from calib.core.base.units import DISPLAY_UNIT, Dimension, in_unit
+from calib.core.base.units import DISPLAY_UNIT, Dimension, in_unit, quantity_text
 from calib.core.base.words import joints_named
 from calib.core.numerics import linalg
-from calib.core.robots.closure import (
-    AssemblyMode,
-    block_signs,
-    blocks,
-    gap_text,
-    loop_openings,
-    residual,
-    scale_closure,
-    singular_values,
-)
+from calib.core.robots import closure
+from calib.core.robots.closure import AssemblyMode, LoopSolution
 from calib.core.robots.continuation import carry, closing_tolerance, follow, newton
 from calib.core.robots.mechanism import Mechanism
 
@@ -43,25 +33,6 @@ LIMIT_MARGIN = 1e-9
 """How far beyond its limit a passive joint may be [m, rad]."""
 _OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from the nominal one
 _CLOSED = 1e-6  # the search for the smallest gap ends a few nanometres from closed [m or rad]
-
-
-@dataclass(frozen=True, eq=False)
-class LoopSolution:
-    """Solved loops.
-
-    Attributes:
-        passive: Passive joints, NaN where a pose does not close, (n, n_passive) [m or rad].
-        ok: Mask of the poses that closed, (n,).
-        slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); None where there was a seed.
-    """
-
-    passive: FloatArray
-    ok: BoolArray
-    slope: FloatArray | None
-
-    def select(self, index: IntArray) -> LoopSolution:
-        """Return the poses with these indices, (n,)."""
-        return LoopSolution(self.passive[index], self.ok[index], None if self.slope is None else self.slope[index])
 
 
 def close(
@@ -82,37 +53,36 @@ def close(
         thorough: See `calib.core.robots.continuation.follow`; False may leave poses open that close.
         limits: Whether solutions beyond the limits of a passive joint are refused.
     """
-    n = len(actuated)
+    n, n_passive = len(actuated), len(mechanism.passive)
     if not mechanism.loops:
         return LoopSolution(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0, 0)))
     if seed is None:
-        passive, slope, ok = follow(mechanism, mode, actuated, thorough=thorough)
-        passive = wrap_turns(mechanism, mode, passive)
+        found = follow(mechanism, mode, actuated, thorough=thorough)
+        passive, ok, slope = wrap_turns(mechanism, mode, found.passive), found.ok, found.slope
     else:
         slope, seeded = None, np.all(np.isfinite(seed), axis=1)
-        passive, ok = np.full(seed.shape, np.nan), np.zeros(n, dtype=bool)
+        passive, ok = np.full((n, n_passive), np.nan), np.zeros(n, dtype=bool)
         part = slice(None) if np.all(seeded) else seeded
         passive[part], _, _, ok[part] = newton(mechanism, mode, actuated[part], seed[part], slopes=False)
         passive = wrap_turns(mechanism, mode, passive)
         ok &= are_within_limits(mechanism, passive) | (not limits)
         todo = np.flatnonzero(~ok)
         if len(todo):
-            followed, _, ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
-            passive[todo] = wrap_turns(mechanism, mode, followed)
+            found = follow(mechanism, mode, actuated[todo], thorough=thorough)
+            passive[todo], ok[todo] = wrap_turns(mechanism, mode, found.passive), found.ok
     ok &= are_within_limits(mechanism, passive) | (not limits)
-    if not np.all(ok):
-        passive[~ok] = np.nan
-        if slope is not None:
-            slope[~ok] = np.nan
-    hold(passive, *(() if slope is None else (slope,)))
+    passive[~ok] = np.nan
+    hold(passive)
+    if slope is not None:
+        slope[~ok] = np.nan
+        hold(slope)
     return LoopSolution(passive, ok, slope)
 
 
 def carries_home(mechanism: Mechanism, mode: AssemblyMode) -> bool:
     """Return whether home can be carried over to the origins of `mechanism`, and closes there in its assembly mode."""
-    return not mechanism.loops or bool(
-        carry(mechanism, mode, mode.actuated[None], mode.passive[None], slopes=False)[2][0]
-    )
+    at_home = mode.actuated[None], mode.passive[None]
+    return not mechanism.loops or bool(carry(mechanism, mode, *at_home, slopes=False).ok[0])
 
 
 def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:
@@ -140,37 +110,49 @@ def are_within_limits(mechanism: Mechanism, passive: FloatArray) -> BoolArray:
     return np.all(inside, axis=1)
 
 
-def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each loop stays open at best in a pose (n_actuated,) that does not close: (n_loops,) [m] and
-    [rad].
+def _smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far each loop stays open at best in a pose (n_actuated,) that does not close: (n_loops,) [m] and [rad].
 
     All are 0 where the loops do close, but in another assembly mode, or where no way leads from home.
     """
     weight = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
 
     def values(passive: FloatArray) -> FloatArray:
-        return weight * residual(mechanism, actuated[None], passive[None])[0][0]
+        return weight * closure.residual(mechanism, actuated[None], passive[None])[0][0]
 
     def slope(passive: FloatArray) -> FloatArray:
-        return weight[:, None] * residual(mechanism, actuated[None], passive[None])[1][0]
+        return weight[:, None] * closure.residual(mechanism, actuated[None], passive[None])[1][0]
 
     best = scipy.optimize.least_squares(values, mode.passive, jac=slope, x_scale=mechanism.passive_scale, max_nfev=200)
-    lengths, angles = loop_openings(mechanism, best.fun[None] / weight)
-    return lengths[0], angles[0]
+    return _loop_openings(mechanism, best.fun / weight)
+
+
+def _loop_openings(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far each loop is open by r (n_rows,): lengths [m] and angles [rad], (n_loops,) each."""
+    ends = np.cumsum([len(loop.rows) for loop in mechanism.loops])[:-1]
+    lengths = np.where(mechanism.is_metre_row, values, 0.0)
+    norms = [[np.linalg.norm(part) for part in np.split(each, ends)] for each in (lengths, values - lengths)]
+    return np.array(norms[0]), np.array(norms[1])
+
+
+def _gap_text(length: float, angle: float, form: str = "") -> str:
+    """A gap in mm, and in degrees where a loop's directions do not agree, in a form if it is given."""
+    turned = f" and {quantity_text(angle, 'deg', form or '.3g')}" if angle > 0 else ""
+    return quantity_text(length, "mm", form or ".3f") + turned
 
 
 def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> str:
     """Return the reason why a pose, its actuated joints (n_actuated,) [m or rad], could not be closed, in words."""
-    passive, _, closes = follow(mechanism, mode, actuated[None])
-    if closes[0]:
-        passive = wrap_turns(mechanism, mode, passive)
+    alone = follow(mechanism, mode, actuated[None])
+    if alone.ok[0]:
+        passive = wrap_turns(mechanism, mode, alone.passive)
         if are_within_limits(mechanism, passive)[0]:
             return "it closes if solved alone, but the path from the other poses ends beyond the limits of a joint"
         return "its loops close only with " + _joint_beyond_limits(mechanism, passive[0])
-    lengths, angles = smallest_gap(mechanism, mode, actuated)
+    lengths, angles = _smallest_gap(mechanism, mode, actuated)
     loop = int(np.argmax(lengths / mechanism.length + angles))
     if max(lengths[loop], angles[loop]) > _CLOSED:
-        return f"loop {mechanism.loops[loop].name} stays open by {gap_text(lengths[loop], angles[loop])} at best"
+        return f"loop {mechanism.loops[loop].name} stays open by {_gap_text(lengths[loop], angles[loop])} at best"
     return "its loops close there, but no path from home was found in the assembly mode of home"
 
 
@@ -203,11 +185,11 @@ def check_home(mechanism: Mechanism, home: dict[str, float], singularity_limit: 
             f"{where}: home: gives no value for joint '{missing[0]}'; a robot with loops needs an"
             " assembled configuration of every joint"
         )
-    values, slope, _ = residual(mechanism, actuated, passive)
+    values, slope, _ = closure.residual(mechanism, actuated, passive)
     _check_closed(mechanism, values, where)
     _check_regular(mechanism, slope, singularity_limit, where)
-    rows, columns = blocks(np.abs(scale_closure(mechanism, slope)[0]) > 1e-9)
-    mode = AssemblyMode(mechanism, actuated[0], passive[0], rows, columns, block_signs(slope, rows, columns)[0])
+    rows, columns = closure.blocks(np.abs(closure.scale_closure(mechanism, slope)[0]) > 1e-9)
+    mode = AssemblyMode(mechanism, actuated[0], passive[0], rows, columns, closure.block_signs(slope, rows, columns)[0])
     polished, _, _, ok = newton(mechanism, mode, actuated, passive)
     if not ok[0]:
         raise DescriptionError(
@@ -217,24 +199,25 @@ def check_home(mechanism: Mechanism, home: dict[str, float], singularity_limit: 
 
 
 def _check_closed(mechanism: Mechanism, values: FloatArray, where: str) -> None:
-    lengths, angles = (gaps[0] for gaps in loop_openings(mechanism, values))
+    lengths, angles = _loop_openings(mechanism, values[0])
     limit = _OPEN_HOME * mechanism.length
     excess = np.maximum(lengths / limit, angles / _OPEN_HOME)
     loop = int(np.argmax(excess))
     if excess[loop] > 1:
-        nearer = gap_text(limit, _OPEN_HOME if angles[loop] > 0 else 0.0, ".0f")
+        nearer = _gap_text(limit, _OPEN_HOME if angles[loop] > 0 else 0.0, ".0f")
         raise DescriptionError(
-            f"{where}: home: loop {mechanism.loops[loop].name} is open by {gap_text(lengths[loop], angles[loop])};"
+            f"{where}: home: loop {mechanism.loops[loop].name} is open by {_gap_text(lengths[loop], angles[loop])};"
             f" give joint values at which the robot is assembled (to {nearer} or better)"
         )
 
 
 def _check_regular(mechanism: Mechanism, slope: FloatArray, limit: float, where: str) -> None:
-    smallest = float(singular_values(mechanism, slope)[0])
+    smallest = float(closure.singular_values(mechanism, slope)[0])
     if smallest < limit:
-        left = linalg.svd(scale_closure(mechanism, slope)[0])[0][:, -1]  # the direction in which closures hold nothing
-        lengths, angles = loop_openings(mechanism, left[None])
-        loose = [mechanism.loops[i].name for i in np.flatnonzero(np.hypot(lengths, angles)[0] > 0.3)]
+        scaled = closure.scale_closure(mechanism, slope)[0]
+        left = linalg.svd(scaled)[0][:, -1]  # the direction in which closures hold nothing
+        open_by = np.hypot(*_loop_openings(mechanism, left))
+        loose = [loop.name for loop, size in zip(mechanism.loops, open_by, strict=True) if size > 0.3]
         raise DescriptionError(
             f"{where}: home: the closures do not determine the passive joints (smallest singular value {smallest:.2g}"
             f" of the scaled passive Jacobian, limit {limit:g}; look at {', '.join(loose)}): home is singular, or"

@@ -99,6 +99,13 @@ def rigid(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
     return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
 
 
+def perpendicular_axes(axis: FloatArray) -> FloatArray:
+    """Return two unit vectors perpendicular to a unit vector (3,) and to each other, (2, 3)."""
+    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(axis, first)])
+
+
 def view(places: Mapping[str, int], a: str, b: str) -> RelativeFrame:
     """Return place b seen from place a, from the joint index of each place."""
     return RelativeFrame(f"{a}-{b}", places[a], places[b], True, (0, 1, 2, 3, 4, 5))
@@ -192,7 +199,7 @@ class Mechanism(ReadOnlyArrays):
         return self._with(forgotten=("placements", "_models"), model=model)
 
     def reduced_to(self, pairs: tuple[RelativeFrame, ...]) -> JointSubset:
-        """Return the part of the model that decides these pairs."""
+        """Return the part of the model that decides these pairs, the same for all placements of a mechanism."""
         if pairs not in self._reductions:
             signs = np.array([self.direction_signs(pair) for pair in pairs]).reshape(-1, self.n_joints)
             moving, frames = signs.any(axis=0), self.model.parents.tolist()
@@ -217,12 +224,10 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def _reductions(self) -> dict[tuple[RelativeFrame, ...], JointSubset]:
-        """Cache of `reduced_to`, for all placements of a mechanism."""
         return {}
 
     @cached_property
     def _models(self) -> dict[tuple[RelativeFrame, ...], pin.Model]:
-        """Cache of `model_around`."""
         return {}
 
     @cached_property
@@ -291,10 +296,13 @@ class Mechanism(ReadOnlyArrays):
         pairs = self.targets + self.views + self.loops
         return np.any([self.direction_signs(pair) != 0 for pair in pairs], axis=0)
 
+    def _slides(self, names: tuple[str, ...]) -> BoolArray:
+        return np.array([self.dimensions[name] == "length" for name in names], dtype=bool)
+
     @cached_property
     def turning(self) -> BoolArray:
         """Mask of the actuated joints that turn, (n_actuated,)."""
-        return np.array([self.dimensions[name] == "angle" for name in self.actuated], dtype=bool)
+        return ~self._slides(self.actuated)
 
     @cached_property
     def joint_scale(self) -> FloatArray:
@@ -304,8 +312,7 @@ class Mechanism(ReadOnlyArrays):
     @cached_property
     def driven_scale(self) -> FloatArray:
         """Scale of each driven joint, as of an actuated one, (n_driven,)."""
-        lengths = [self.dimensions[name] == "length" for name in self.driven]
-        return np.where(np.array(lengths, dtype=bool), self.length, 1.0)
+        return np.where(self._slides(self.driven), self.length, 1.0)
 
     @cached_property
     def passive_scale(self) -> FloatArray:
@@ -320,4 +327,4 @@ class Mechanism(ReadOnlyArrays):
     @cached_property
     def is_metre_column(self) -> BoolArray:
         """Mask of the passive joints that slide, (n_passive,)."""
-        return np.array([self.dimensions[name] == "length" for name in self.passive], dtype=bool)
+        return self._slides(self.passive)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from calib.core.base.arrays import BoolArray, FloatArray
+from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DescriptionError, UrdfError, nearest, require_known
 from calib.core.base.sections import ANGLE_COMPONENTS, COMPONENTS
 from calib.core.base.units import Dimension, quantity
@@ -17,20 +15,18 @@ from calib.core.base.words import count_noun
 from calib.core.instruments.kind import Instrument, Place
 from calib.core.robots.described_instruments import MEASUREMENT_FRAME, pair_names, places_of
 from calib.core.robots.description import Description
-from calib.core.robots.mechanism import Mechanism, RelativeFrame, rigid, view
+from calib.core.robots.mechanism import Mechanism, RelativeFrame, perpendicular_axes, rigid, view
 from calib.core.robots.terms.term import tilts_of
 from calib.core.robots.terms.terms import TERMS
-from calib.core.robots.urdf.reader import HELD_TYPES, UNSUPPORTED_TYPES, UrdfJoint
+from calib.core.robots.urdf.reader import HELD_TYPES, UrdfJoint
 from calib.core.robots.urdf.text import UrdfText, require_supported
 
 Loops = tuple[RelativeFrame, ...]
+Mimics = Mapping[str, tuple[str, float, float]]
 
 
 def build_mechanism(
-    urdf: UrdfText,
-    description: Description,
-    instruments: tuple[Instrument, ...],
-    where: str,
+    urdf: UrdfText, description: Description, instruments: tuple[Instrument, ...], where: str
 ) -> Mechanism:
     """Build the mechanism of a URDF and its description; a joint that mimics itself is a `UrdfError`.
 
@@ -39,47 +35,58 @@ def build_mechanism(
     """
     model, frames, tilts = _tree(urdf, tilted_joints(description))
     origin_names = list(model.names[1:])
-    indices: dict[str, int] = {}
+    places: dict[str, int] = {}
     for place in places_of(description, instruments, where):
         link = _frame(frames, place.link, f"{where}: {_entry(place, description)}.frame")
-        origin = _new_name(*_origin_names(place), origin_names)
+        origin = _new_origin(place, origin_names)
         pose = rigid(place.xyz, place.rpy)
-        indices[place.name] = int(
-            model.addJoint(link, pin.JointModelRX(), pose.inverse() if place.inverted else pose, origin)
-        )
+        pose = pose.inverse() if place.inverted else pose
+        places[place.name] = int(model.addJoint(link, pin.JointModelRX(), pose, origin))
         origin_names.append(origin)
         if not place.inverted:
-            frames.setdefault(place.name, indices[place.name])
-    base = indices[MEASUREMENT_FRAME]
-    targets = [RelativeFrame(name, base, indices[name], False, (0, 1, 2)) for name in description.targets]
-    views = dict.fromkeys(pair for instrument in instruments for pair in pair_names(description, instrument))
-    seen = tuple(view(indices, a, b) for a, b in views)
-    support = _support(model)
+            frames.setdefault(place.name, places[place.name])
+    base = places[MEASUREMENT_FRAME]
+    targets = tuple(RelativeFrame(name, base, places[name], False, (0, 1, 2)) for name in description.targets)
+    pairs = dict.fromkeys(pair for instrument in instruments for pair in pair_names(description, instrument))
+    views = tuple(view(places, a, b) for a, b in pairs)
     loops = tuple(_loop(description, frames, index, where) for index in range(len(description.closed_loop)))
-    between = np.array([support[pair.b] != support[pair.a] for pair in (*targets, *seen, *loops)])
+    support = _support(model)
+    between = np.array([support[pair.b] != support[pair.a] for pair in (*targets, *views, *loops)])
     names = {name for name, moves in zip(origin_names, between.T, strict=True) if np.any(moves)}
     require_supported([joint for joint in urdf.joints if joint.name in names], where)
-    in_loop = np.any([support[loop.b] != support[loop.a] for loop in loops] or [[False] * len(origin_names)], axis=0)
-    groups = _joint_groups(urdf, description, origin_names, in_loop, where)
-    _check_count(groups.passive, loops, where)
+    moving = _moving(urdf)
+    _check_motors(urdf, description, where)
+    mimics = {
+        name: joint.mimic
+        for name, joint in moving.items()
+        if joint.mimic is not None and name not in description.name_mot
+    }
+    in_loop = np.any(between[len(between) - len(loops) :], axis=0)
+    decided = moving.keys() - mimics.keys() - {*description.name_mot}
+    passive = tuple(name for name, inside in zip(origin_names, in_loop, strict=True) if inside and name in decided)
+    _check_count(passive, loops, where)
+    given, n_driven = (*description.name_mot, *tilts, *passive), len(description.name_mot) + len(tilts)
+    select, constant = _selection(urdf, mimics, given, origin_names, home_values(urdf, description, where))
     return Mechanism(
         model=model,
         origin_names=tuple(origin_names),
         frames=frames,
-        actuated=groups.actuated,
-        passive=groups.passive,
+        actuated=description.name_mot,
+        passive=passive,
         tilts=tilts,
-        dimensions={name: _dimension(joint) for name, joint in groups.moving.items()} | dict.fromkeys(tilts, "angle"),
-        lower=np.array([groups.moving[name].lower for name in groups.passive]),
-        upper=np.array([groups.moving[name].upper for name in groups.passive]),
+        dimensions={name: _dimension(joint) for name, joint in moving.items()} | dict.fromkeys(tilts, "angle"),
+        select_actuated=select[:, :n_driven],
+        select_passive=select[:, n_driven:],
+        constant=constant,
+        lower=np.array([moving[name].lower for name in passive]),
+        upper=np.array([moving[name].upper for name in passive]),
         loops=loops,
-        targets=tuple(targets),
-        places=indices,
-        views=seen,
+        targets=targets,
+        places=places,
+        views=views,
         support=support,
         axes=_axes(model),
         length=_length(model, support, targets, loops),
-        **_selection(urdf, groups, tilts, origin_names, home_values(urdf, description, where)),
     )
 
 
@@ -116,12 +123,15 @@ def _entry(place: Place, description: Description) -> str:
     return "base" if place.inverted else f"place '{place.name}'"
 
 
-def _origin_names(place: Place) -> tuple[str, str]:
-    """Names for the origin of a place: the first choice, then others if that is taken."""
-    if not place.inverted:
-        return place.name, f"{place.name}_point"
+def _new_origin(place: Place, taken: list[str]) -> str:
+    """A name for the origin of a place: the first choice, or others if that is taken."""
     later = place.name.removeprefix(MEASUREMENT_FRAME)
-    return f"base{later}", f"measurement_base{later}"
+    name, other = (
+        (f"base{later}", f"measurement_base{later}") if place.inverted else (place.name, f"{place.name}_point")
+    )
+    while name in taken:
+        name, other = other, f"{other}_"
+    return name
 
 
 def _moving(urdf: UrdfText) -> dict[str, UrdfJoint]:
@@ -156,17 +166,8 @@ def _tree(urdf: UrdfText, tilted: Collection[str]) -> tuple[pin.Model, dict[str,
 def _tilts(joint: UrdfJoint) -> Iterator[tuple[str, FloatArray]]:
     """The name and axis of each tilt of a joint: two across its axis, and if it slides, one about its axis."""
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    first /= np.linalg.norm(first)
-    directions = [first, np.cross(axis, first), *([axis] if joint.type == "prismatic" else [])]
+    directions = [*perpendicular_axes(axis), *([axis] if joint.type == "prismatic" else [])]
     return zip(tilts_of(joint.name, _dimension(joint)), directions, strict=True)
-
-
-def _new_name(name: str, other: str, taken: list[str]) -> str:
-    """Return `name`, or if it is taken, `other`, with a _ added until it is new."""
-    while name in taken:
-        name, other = other, f"{other}_"
-    return name
 
 
 def _frame(frames: Mapping[str, int], name: str, where: str) -> int:
@@ -176,9 +177,8 @@ def _frame(frames: Mapping[str, int], name: str, where: str) -> int:
 
 def _support(model: pin.Model) -> FloatArray:
     support = np.zeros((model.njoints, model.njoints - 1))
-    for index in range(1, model.njoints):
-        support[index] = support[model.parents[index]]
-        support[index, index - 1] = 1.0
+    for frame, joints in enumerate(model.supports):
+        support[frame, [joint - 1 for joint in joints if joint]] = 1.0
     return support
 
 
@@ -192,50 +192,19 @@ def _loop(description: Description, frames: Mapping[str, int], index: int, where
             raise DescriptionError(f"{where}: axis '{axis}' is a rotation; that needs type 6d")
     if not axes or len(set(axes)) != len(axes):
         raise DescriptionError(f"{where}: closed_loop_axes {list(axes)} must name each direction once, at least one")
-    rows = tuple(COMPONENTS.index(axis) for axis in axes)
-    return RelativeFrame(
-        f"{first}-{second}", _frame(frames, first, where), _frame(frames, second, where), full_pose, rows
-    )
+    a, b = (_frame(frames, name, where) for name in (first, second))
+    return RelativeFrame(f"{first}-{second}", a, b, full_pose, tuple(COMPONENTS.index(axis) for axis in axes))
 
 
-@dataclass(frozen=True)
-class _JointGroups:
-    """The role of each joint: moved by the user, by the loops, or by another joint that it mimics; the rest is held.
-
-    Attributes:
-        moving: Joints that can move, by name.
-        actuated, passive: Their names.
-        followers: Leader, multiplier and offset of each joint that mimics another one.
-    """
-
-    moving: dict[str, UrdfJoint]
-    actuated: tuple[str, ...]
-    passive: tuple[str, ...]
-    followers: dict[str, tuple[str, float, float]]
-
-
-def _joint_groups(
-    urdf: UrdfText, description: Description, origin_names: list[str], in_loop: BoolArray, where: str
-) -> _JointGroups:
-    moving = _moving(urdf)
-    types = {joint.name: joint.type for joint in urdf.joints}
-    actuated = tuple(description.name_mot)
-    for name in actuated:
-        if name not in types:
-            raise DescriptionError(f"{where}: name_mot: no joint '{name}'{nearest(name, moving)}")
-        if types[name] in UNSUPPORTED_TYPES:
-            require_supported([joint for joint in urdf.joints if joint.name == name], f"{where}: name_mot")
-        if name not in moving:
-            raise DescriptionError(f"{where}: name_mot: joint '{name}' is {types[name]}, it does not move")
-    followers = {
-        name: joint.mimic for name, joint in moving.items() if joint.mimic is not None and name not in actuated
-    }
-    passive = tuple(
-        name
-        for name, inside in zip(origin_names, in_loop, strict=True)
-        if inside and name in moving and name not in actuated and name not in followers
-    )
-    return _JointGroups(moving, actuated, passive, followers)
+def _check_motors(urdf: UrdfText, description: Description, where: str) -> None:
+    """Raise `DescriptionError` for an actuated joint that there is not, or that does not move."""
+    joints = {joint.name: joint for joint in urdf.joints}
+    for name in description.name_mot:
+        if name not in joints:
+            raise DescriptionError(f"{where}: name_mot: no joint '{name}'{nearest(name, _moving(urdf))}")
+        require_supported([joints[name]], f"{where}: name_mot")
+        if joints[name].type in HELD_TYPES:
+            raise DescriptionError(f"{where}: name_mot: joint '{name}' is {joints[name].type}, it does not move")
 
 
 def _check_count(passive: tuple[str, ...], loops: Loops, where: str) -> None:
@@ -250,44 +219,35 @@ def _check_count(passive: tuple[str, ...], loops: Loops, where: str) -> None:
 
 
 def _selection(
-    urdf: UrdfText, groups: _JointGroups, tilts: tuple[str, ...], origin_names: list[str], home: Mapping[str, float]
-) -> dict[str, Any]:
-    """Return the selection matrices and the constant of `Mechanism`."""
-    driven = groups.actuated + tilts
-    select_actuated = np.zeros((len(origin_names), len(driven)))
-    select_passive = np.zeros((len(origin_names), len(groups.passive)))
-    constant = np.zeros(len(origin_names))
+    urdf: UrdfText, mimics: Mimics, given: tuple[str, ...], origin_names: list[str], home: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the matrix that selects `given` joints, (n_joints, n_given), and the constant of `Mechanism`."""
+    select, constant = np.zeros((len(origin_names), len(given))), np.zeros(len(origin_names))
     for i, name in enumerate(origin_names):
-        leader, multiplier, constant[i] = _leader(urdf, groups, name)
-        if leader in driven:
-            select_actuated[i, driven.index(leader)] = multiplier
-        elif leader in groups.passive:
-            select_passive[i, groups.passive.index(leader)] = multiplier
-        elif leader in home:
-            constant[i] += multiplier * home[leader]
-    return {"select_actuated": select_actuated, "select_passive": select_passive, "constant": constant}
+        leader, multiplier, constant[i] = _leader(urdf, mimics, name)
+        if leader in given:
+            select[i, given.index(leader)] = multiplier
+        else:
+            constant[i] += multiplier * home.get(leader, 0.0)
+    return select, constant
 
 
-def _leader(urdf: UrdfText, groups: _JointGroups, name: str) -> tuple[str, float, float]:
+def _leader(urdf: UrdfText, mimics: Mimics, name: str) -> tuple[str, float, float]:
     """Follow mimics of mimics: the joint at their end, and value = multiplier * its value + offset."""
     leader, multiplier, offset = name, 1.0, 0.0
     followed: list[str] = []
-    while leader in groups.followers:
+    while leader in mimics:
         if leader in followed:
             raise UrdfError(f"{urdf.path}, joint '{name}': mimics itself through {', '.join(followed)}")
         followed.append(leader)
-        leader, factor, shift = groups.followers[leader]
+        leader, factor, shift = mimics[leader]
         offset, multiplier = offset + multiplier * shift, multiplier * factor
     return leader, multiplier, offset
 
 
-def _length(
-    model: pin.Model, support: FloatArray, targets: list[RelativeFrame], loops: tuple[RelativeFrame, ...]
-) -> float:
+def _length(model: pin.Model, support: FloatArray, targets: Loops, loops: Loops) -> float:
     """Longest origin translation inside a loop, or on the way to a target, as the robot's characteristic length [m]."""
-    sizes = np.array([float(np.linalg.norm(model.jointPlacements[i].translation)) for i in range(1, model.njoints)])
-    inside = [np.max(sizes * (support[pair.b] != support[pair.a])) for pair in loops]
-    if inside and max(inside) > 0:
-        return float(max(inside))
+    sizes = np.array([np.linalg.norm(placement.translation) for placement in model.jointPlacements[1:]])
+    inside = max((float(np.max(sizes * (support[pair.b] != support[pair.a]))) for pair in loops), default=0.0)
     reach = max(float(np.sum(sizes * support[target.b])) for target in targets)
-    return reach if reach > 0 else 1.0
+    return inside or reach or 1.0

@@ -25,6 +25,8 @@ from calib.core.robots.robot_data import SomeRobot
 from calib.core.robots.urdf.text import UrdfText
 
 ENTRY_POINTS = "calib.parametrisations"
+Entry = tuple[OriginSection, bool, bool]
+"""Components of origins, whether they have a prior, and whether they are a mere place."""
 DEFAULT_LENGTH_SIGMA = 2e-3
 """Expected error of an origin's coordinate where nothing is stated [m]."""
 DEFAULT_ANGLE_SIGMA = 5e-3
@@ -90,13 +92,8 @@ def _without_names(
 
 
 def _components(
-    entries: list[tuple[OriginSection, bool, bool]],
-    origins: Mapping[str, Origin],
-    mechanism: Mechanism,
-    inverted: frozenset[str],
-    where: str,
+    entries: list[Entry], origins: Mapping[str, Origin], mechanism: Mechanism, inverted: frozenset[str], where: str
 ) -> OriginComponents:
-    """Parameters of entries, each with whether it has a prior and whether it is a mere place."""
     parameters: dict[str, Parameter] = {}
     components: list[tuple[str, int]] = []
     from_all: set[str] = set()
@@ -135,13 +132,11 @@ def default_sections() -> tuple[OriginSection, ...]:
     return tuple(OriginSection(origin="all", components=components, sigma=sigma) for components, sigma in entries)
 
 
-def _unknown_components(place: Place, origin: str) -> list[tuple[OriginSection, bool, bool]]:
+def _unknown_components(place: Place, origin: str) -> list[Entry]:
     """Entries for the unknown components of a place; its sigmas are priors where they are stated."""
     entries = []
-    for components, sigma, default in (
-        (LENGTH_COMPONENTS, place.sigma, "10 mm"),
-        (ANGLE_COMPONENTS, place.sigma_angle, "10 mrad"),
-    ):
+    lengths, angles = (LENGTH_COMPONENTS, place.sigma, "10 mm"), (ANGLE_COMPONENTS, place.sigma_angle, "10 mrad")
+    for components, sigma, default in (lengths, angles):
         unknown = tuple(component for component in components if component in place.unknown)
         if unknown:
             section = OriginSection(origin=origin, components=unknown, sigma=default if sigma is None else sigma)

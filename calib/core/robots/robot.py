@@ -14,10 +14,10 @@ from calib.core.base.errors import DataError, InputError
 from calib.core.base.memory import require_memory
 from calib.core.base.other_words import HintedObject
 from calib.core.base.words import html_with_title
-from calib.core.robots import kinematics, loops
+from calib.core.robots import kinematics
 from calib.core.robots.acceleration import compile_for, many
 from calib.core.robots.accuracy_of_files import Holds
-from calib.core.robots.closure import motion
+from calib.core.robots.closure import LoopSolution, motion
 from calib.core.robots.configurations import (
     Configurations,
     assemble,
@@ -150,7 +150,7 @@ class Robot(RobotData, HintedObject):
         columns: tuple[FloatArray, ...] | None = None,
         *,
         thorough: bool = True,
-    ) -> loops.LoopSolution:
+    ) -> LoopSolution:
         """Solve the loops of each pose without raising; see `calib.core.robots.loops.close`.
 
         Args:
@@ -220,17 +220,10 @@ class Robot(RobotData, HintedObject):
         measurement frame (Pinocchio's LOCAL_WORLD_ALIGNED). With joint terms, dq/dt is
         the actual motion of the joints, not the commanded one.
 
-        Args:
-            q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
-            frame: As in `forward`.
+        Arguments and errors are those of `forward`.
 
         Returns:
             (n, 6, n_actuated) or (6, n_actuated) [m or rad, per m or rad].
-
-        Raises:
-            DataError: Joint values of the wrong shape.
-            DescriptionError: Unknown frame.
-            UnreachablePoseError: A loop cannot be closed.
         """
         configurations, pair = self.assemble(q), self._relative_frame(frame)
         by_joint = motion(self.mechanism, pair, configurations.actuated, configurations.passive)[2]

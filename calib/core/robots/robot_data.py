@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.core.base.arrays import BoolArray, FloatArray, NamedRows, ReadOnlyArrays, read_only
-from calib.core.base.errors import DescriptionError, ParameterError, nearest
+from calib.core.base.errors import DescriptionError, ParameterError, require_known
 from calib.core.base.parameter import Parameters
 from calib.core.base.units import quantity
 from calib.core.instruments.kind import Instrument
@@ -41,9 +41,7 @@ class RobotData(ReadOnlyArrays):
         urdf: The nominal URDF.
         nominal: Mechanism with nominal origins.
         mechanism: Mechanism with the origins that `values` give.
-        parametrisation: Its parameters.
-        instruments: Its instruments.
-        terms: Terms of the joints' errors.
+        parametrisation, instruments, terms: Its parameters, instruments, and terms of the joints' errors.
         values: Current parameter values, (n_parameters,) [m or rad]: of the parametrisation, then unknown numbers of
             the instruments, then coefficients of the terms.
         mode: Home configuration and assembly mode of the nominal robot.
@@ -182,10 +180,9 @@ class RobotData(ReadOnlyArrays):
 
     def instrument(self, name: str) -> Instrument:
         """Return an instrument; an unknown name is a `DescriptionError`."""
-        found = next((instrument for instrument in self.instruments if instrument.name == name), None)
-        if found is None:
-            raise DescriptionError(f"no instrument '{name}'{nearest(name, [each.name for each in self.instruments])}")
-        return found
+        by_name = {instrument.name: instrument for instrument in self.instruments}
+        require_known(name, by_name, "no instrument", DescriptionError)
+        return by_name[name]
 
     @cached_property
     def unknowns(self) -> dict[str, slice]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.core.base.arrays import FloatArray
 from calib.core.robots.terms.term import REFERENCE_TEMPERATURE
-from calib.exporting.functions.facts import MEANING, NEUTRAL, SOURCES, RobotFacts, header_lines, template
+from calib.exporting.functions.facts import SOURCES, RobotFacts, header_lines, template
 from calib.exporting.functions.trees import FunctionTree
 
 _FUNCTIONS = """\
@@ -33,7 +33,7 @@ def c_text(facts: RobotFacts, lines: Sequence[str]) -> str:
     """Return the C file of a robot; `lines` are comments on the origin of the numbers."""
     parts = [_comment(facts, lines), _sizes(facts), template("c_types"), _tables(facts)]
     parts += [template(name) for name in ("c_code", "c_loops", "c_joints", "c_doors")]
-    prefix = c_name(facts.name)
+    prefix = c_name(facts.robot.name)
     return f"{''.join(parts)}\n#endif\n".replace("@", prefix)
 
 
@@ -48,7 +48,7 @@ def _comment(facts: RobotFacts, lines: Sequence[str]) -> str:
     text += ["", *_FUNCTIONS.splitlines()]
     if facts.conditions:
         text += ["", "Joint errors depend on these members of the conditions; where NULL is given, they are neutral:"]
-        text += [f"    {name}: {MEANING[name]}; neutral: {NEUTRAL[name]:g}" for name in facts.conditions]
+        text += [f"    {name}: {meaning}; neutral: {value:g}" for name, (value, meaning) in facts.conditions.items()]
     else:
         text += ["", "This robot's joint errors depend on no conditions; give NULL."]
     body = "\n".join(f" * {line}".rstrip() for line in "\n".join(text).replace("*/", "* /").splitlines())
@@ -58,10 +58,10 @@ def _comment(facts: RobotFacts, lines: Sequence[str]) -> str:
 def _sizes(facts: RobotFacts) -> str:
     trees = [facts.tree, *([facts.gravity.tree] if facts.gravity else [])]
     sizes = {
-        "N": len(facts.joints),
+        "N": len(facts.robot.joint_names),
         "N_DRIVEN": facts.tree.n_driven,
         "N_PASSIVE": facts.tree.n_passive,
-        "N_TOOLS": len(facts.tools),
+        "N_TOOLS": len(facts.robot.target_names),
         "N_SHARES": len(facts.shares),
         "N_WAVES": len(facts.waves),
         "MAX_JOINTS": max(len(tree.joints) for tree in trees),
@@ -71,14 +71,14 @@ def _sizes(facts: RobotFacts) -> str:
     }
     lines = ["#ifndef @_INCLUDED", "#define @_INCLUDED", "", "#include <math.h>", "#include <stddef.h>", ""]
     lines += [f"#define @_{name} {size}" for name, size in sizes.items()]
-    lines += [f"#define @_LENGTH {_number(facts.length)} /* compares metres and radians */"]
+    lines += [f"#define @_LENGTH {_number(facts.robot.mechanism.length)} /* compares metres and radians */"]
     lines += [f"#define @_TURN {_number(2.0 * np.pi)}", f"#define @_REFERENCE {_number(REFERENCE_TEMPERATURE)}", ""]
     return "\n".join(lines) + "\n"
 
 
 def _tables(facts: RobotFacts) -> str:
-    scale = facts.tree.scale[: len(facts.joints)]
-    neutral = [[0.0], *(NEUTRAL[name] for name in ("time", "temperature", "load"))]
+    scale = facts.tree.scale[: len(facts.robot.joint_names)]
+    neutral = [[0.0], 0.0, REFERENCE_TEMPERATURE, 0.0]  # approach, time, temperature, load
     text = [
         _array("double @_lower[]", facts.lower),
         _array("double @_upper[]", facts.upper),
@@ -109,10 +109,7 @@ def _errors(facts: RobotFacts) -> list[str]:
         (wave.driven, wave.place, len(wave.sine), wave.base, f"@_sine_{k}", f"@_cosine_{k}")
         for k, wave in enumerate(facts.waves)
     ]
-    shares = [
-        (share.driven, f"@_{SOURCES[share.source].upper()}", share.place, share.knee, share.rate)
-        for share in facts.shares
-    ]
+    shares = [(share.driven, f"@_{SOURCES[share.source].upper()}", *share[2:]) for share in facts.shares]
     text.append(_structs("@_share @_shares[]", shares or [(0, "@_ONE", 0, 0.0, 0.0)]))
     text.append(_structs("@_wave @_waves[]", waves or [(0, 0, 0, 0.0, "NULL", "NULL")]))
     return text
@@ -120,10 +117,7 @@ def _errors(facts: RobotFacts) -> list[str]:
 
 def _tree(name: str, tree: FunctionTree) -> str:
     """A tree, after the tables to which it points."""
-    joints = [
-        (joint.before, joint.slides, joint.coordinate, joint.factor, joint.offset, _columns(joint.placement))
-        for joint in tree.joints
-    ]
+    joints = [joint._replace(placement=_columns(joint.placement)) for joint in tree.joints]
     frames = [(frame.after, f"{name}_moved_{k}", _columns(frame.placement)) for k, frame in enumerate(tree.frames)]
     rows = [(a, b, row) for a, b, rows in tree.closures for row in rows]
     places = [place for block in tree.blocks for part in block for place in part]

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -29,21 +30,16 @@ from calib.exporting.functions.trees import FunctionTree, tree_of
 
 _STARTS = 64
 CONDITIONS = {
-    Source.APPROACH: "approach",
-    Source.TIME: "time",
-    Source.WARMTH: "temperature",
-    Source.TORQUE: "load",
+    "approach": (
+        Source.APPROACH,
+        0.0,
+        "direction in which each joint moved last, +1 or -1, 0 where not known, (..., n_joints)",
+    ),
+    "time": (Source.TIME, 0.0, "as the measurements counted it [s], (...)"),
+    "temperature": (Source.WARMTH, REFERENCE_TEMPERATURE, "[degC], (...)"),
+    "load": (Source.TORQUE, 0.0, "mass at the tool that the URDF does not have [kg], (...)"),
 }
-"""Condition of a command by the source that needs it; functions take conditions by these names."""
-NEUTRAL = {"approach": 0.0, "time": 0.0, "temperature": REFERENCE_TEMPERATURE, "load": 0.0}
-"""Default value of each condition."""
-MEANING = {
-    "approach": "direction in which each joint moved last, +1 or -1, 0 where not known, (..., n_joints)",
-    "time": "as the measurements counted it [s], (...)",
-    "temperature": "[degC], (...)",
-    "load": "mass at the tool that the URDF does not have [kg], (...)",
-}
-"""Meaning of each condition."""
+"""Conditions of commands by the names in functions: the source that needs each, its default value, and its meaning."""
 SOURCES = {
     Source.ONE: "one",
     Source.COMMAND: "command",
@@ -55,8 +51,7 @@ SOURCES = {
 """Quantities to which joint errors are proportional, by their names in the code."""
 
 
-@dataclass(frozen=True)
-class JointShare:
+class JointShare(NamedTuple):
     """Error of a driven joint: `rate` times a number x, or x / sqrt(x^2 + knee^2).
 
     Attributes:
@@ -74,8 +69,7 @@ class JointShare:
     rate: float
 
 
-@dataclass(frozen=True, eq=False)
-class Wave(ReadOnlyArrays):
+class Wave(NamedTuple):
     """Error of a driven joint: sum over k of sine_k sin(k base q) + cosine_k cos(k base q), k = 1, 2, ...
 
     Attributes:
@@ -92,8 +86,7 @@ class Wave(ReadOnlyArrays):
     cosine: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Gravity(ReadOnlyArrays):
+class Gravity(NamedTuple):
     """Masses and directions from which gravity torques are computed.
 
     Attributes:
@@ -116,33 +109,27 @@ class RobotFacts(ReadOnlyArrays):
     """Numbers of a robot for its function.
 
     Attributes:
-        name: The robot's name.
-        joints: Names of the actuated joints, in the order of commands.
-        units: Unit of each, `rad` or `m`.
-        tools: Names of the targets.
+        robot: The robot.
+        units: Unit of each actuated joint, `rad` or `m`.
         tree: Tree of the robot; its first frame is the measurement frame, then one for each target.
         shares, waves: Its joint errors.
         gravity: For torques; None if no error depends on them.
-        conditions: Names of the conditions that the joint errors depend on.
+        conditions: Default value and meaning of each condition that the joint errors depend on, by name.
         lower, upper: Limits of the actuated joints, (n_actuated,) [m or rad].
         home: Commands of the home configuration, within these limits, (n_actuated,) [m or rad].
-        length: Characteristic length [m].
         base: Pose of the measurement frame in the root link, (4, 4) [m]; None if joints move it.
     """
 
-    name: str
-    joints: tuple[str, ...]
+    robot: Robot
     units: tuple[str, ...]
-    tools: tuple[str, ...]
     tree: FunctionTree
     shares: tuple[JointShare, ...]
     waves: tuple[Wave, ...]
     gravity: Gravity | None
-    conditions: tuple[str, ...]
+    conditions: dict[str, tuple[float, str]]
     lower: FloatArray
     upper: FloatArray
     home: FloatArray
-    length: float
     base: FloatArray | None
 
 
@@ -156,23 +143,19 @@ def facts_of(robot: Robot) -> RobotFacts:
     commands, configurations = _starts(robot)
     frames = [mechanism.targets[0].a, *(target.b for target in mechanism.targets)]
     shares, waves = _errors(robot)
-    needs_torque = any(share.source is Source.TORQUE for share in shares)
     sources = {share.source for share in shares}
     lower, upper = robot.urdf.limits(mechanism.actuated)
     return RobotFacts(
-        name=robot.name,
-        joints=robot.joint_names,
+        robot=robot,
         units=tuple("m" if mechanism.dimensions[name] == "length" else "rad" for name in robot.joint_names),
-        tools=robot.target_names,
         tree=tree_of(mechanism, robot.mode, frames, configurations),
         shares=shares,
         waves=waves,
-        gravity=_gravity(robot, commands) if needs_torque else None,
-        conditions=tuple(name for source, name in CONDITIONS.items() if source in sources),
+        gravity=_gravity(robot, commands) if Source.TORQUE in sources else None,
+        conditions={name: (value, text) for name, (source, value, text) in CONDITIONS.items() if source in sources},
         lower=lower,
         upper=upper,
         home=np.clip(robot.home, lower, upper),
-        length=mechanism.length,
         base=_base(robot),
     )
 
@@ -257,9 +240,9 @@ def template(name: str) -> str:
 
 def header_lines(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
     """Return the header of a file in lines; `base` is the name of the measurement frame's pose in the file."""
-    joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))
-    text = [f"The robot {facts.name}: poses of its tools from the commands of its joints.", "", *lines]
-    tools = ", ".join(f"{k} {name}" for k, name in enumerate(facts.tools))
+    joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.robot.joint_names, facts.units, strict=True))
+    text = [f"The robot {facts.robot.name}: poses of its tools from the commands of its joints.", "", *lines]
+    tools = ", ".join(f"{k} {name}" for k, name in enumerate(facts.robot.target_names))
     text += ["", f"Commands: {joints}. All units are SI.", f"Tools: {tools}."]
     text.append("Poses of a tool are in the measurement frame, if the calibration places the robot in it.")
     if facts.base is None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.exporting.functions.facts import MEANING, NEUTRAL, SOURCES, Gravity, RobotFacts, header_lines, template
+from calib.exporting.functions.facts import SOURCES, Gravity, RobotFacts, header_lines, template
 from calib.exporting.functions.trees import FunctionTree
 
 _OF_LIBRARY: dict[str, tuple[str, ...]] = {
@@ -45,33 +45,32 @@ def _docstring(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
     text = [
         *header_lines(facts, lines, "BASE"),
         "",
-        f"{', '.join(functions)} take one pose, or batches of any shape; q is (..., {len(facts.joints)}).",
+        f"{', '.join(functions)} take one pose, or batches of any shape; q is (..., {len(facts.robot.joint_names)}).",
     ]
     if facts.conditions:
         text += ["", "Joint errors depend on conditions, which these functions take by name:"]
-        text += [f"    {name}: {MEANING[name]}; {NEUTRAL[name]:g} if not given" for name in facts.conditions]
+        given = facts.conditions.items()
+        text += [f"    {name}: {meaning}; {neutral:g} if not given" for name, (neutral, meaning) in given]
     body = "\n".join([*text, *_OF_LIBRARY[library]])
     return '"""' + body.replace("\\", "\\\\").replace('"', "'") + '\n"""\n\n'
 
 
 def _numbers(facts: RobotFacts) -> str:
     entries: dict[str, Any] = {
-        "JOINTS": facts.joints,
+        "JOINTS": facts.robot.joint_names,
         "UNITS": facts.units,
-        "TOOLS": facts.tools,
-        "CONDITIONS": {name: NEUTRAL[name] for name in facts.conditions},
+        "TOOLS": facts.robot.target_names,
+        "CONDITIONS": {name: neutral for name, (neutral, _) in facts.conditions.items()},
         "LOWER": facts.lower,
         "UPPER": facts.upper,
         "HOME": facts.home,
         "BASE": facts.base,
-        "_LENGTH": facts.length,
+        "_LENGTH": facts.robot.mechanism.length,
         "_TURN": 2.0 * np.pi,
         "_WORLD": np.eye(4, 3),
         "_WORLD_ROW": np.eye(4)[3:],
-        "_SHARES": [
-            (share.driven, SOURCES[share.source], share.place, share.knee, share.rate) for share in facts.shares
-        ],
-        "_WAVES": [(wave.driven, wave.place, wave.base, wave.sine, wave.cosine) for wave in facts.waves],
+        "_SHARES": [(share.driven, SOURCES[share.source], *share[2:]) for share in facts.shares],
+        "_WAVES": facts.waves,
         "_GRAVITY": None if facts.gravity is None else _gravity(facts.gravity),
         "_ROBOT": _tree(facts.tree),
     }
@@ -93,11 +92,8 @@ def _gravity(gravity: Gravity) -> dict[str, Any]:
 def _tree(tree: FunctionTree) -> dict[str, Any]:
     return {
         "n_driven": tree.n_driven,
-        "joints": [
-            (joint.before, joint.slides, joint.coordinate, joint.factor, joint.offset, joint.placement)
-            for joint in tree.joints
-        ],
-        "frames": [(frame.after, frame.placement, frame.moved_by.astype(int)) for frame in tree.frames],
+        "joints": tree.joints,
+        "frames": tree.frames,
         "closures": [(a, b) for a, b, _ in tree.closures],
         "rows": [3 * k + row for k, (_, _, rows) in enumerate(tree.closures) for row in rows],
         "follows": tree.follows,

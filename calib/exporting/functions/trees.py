@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from calib.core.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.core.robots.closure import AssemblyMode
 from calib.core.robots.continuation import closing_tolerance
 from calib.core.robots.loops import LIMIT_MARGIN
@@ -26,8 +27,7 @@ from calib.core.robots.mechanism import Mechanism
 _LARGEST_TURN = 2 * np.pi
 
 
-@dataclass(frozen=True, eq=False)
-class TreeJoint(ReadOnlyArrays):
+class TreeJoint(NamedTuple):
     """A moving joint.
 
     Attributes:
@@ -46,19 +46,18 @@ class TreeJoint(ReadOnlyArrays):
     placement: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class TreeFrame(ReadOnlyArrays):
+class TreeFrame(NamedTuple):
     """A frame on a joint.
 
     Attributes:
         after: Number of the joint; 0 is the world.
         placement: Pose seen from the moved frame of the joint, (4, 4) [m].
-        moved_by: Mask of the joints that move it, (n_joints,).
+        moved_by: 1 for each joint that moves it, else 0, (n_joints,).
     """
 
     after: int
     placement: FloatArray
-    moved_by: BoolArray
+    moved_by: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +131,7 @@ def tree_of(
     return FunctionTree(
         joints=joints,
         frames=tuple(
-            TreeFrame(at[index].after, at[index].place.homogeneous, mechanism.support[index][of_joints] > 0)
+            TreeFrame(at[index].after, at[index].place.homogeneous, 1 * (mechanism.support[index][of_joints] > 0))
             for index in indices
         ),
         closures=tuple((n + 2 * k, n + 2 * k + 1, loop.rows) for k, loop in enumerate(mechanism.loops)),
@@ -150,8 +149,7 @@ def tree_of(
     )
 
 
-@dataclass(frozen=True)
-class _FramePlace:
+class _FramePlace(NamedTuple):
     """Place of a frame: number of a joint, constant pose behind that joint, and whether it is the joint's own frame."""
 
     after: int

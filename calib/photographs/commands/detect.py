@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 import click
 import numpy as np
 
-from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError
 from calib.core.base.units import quantity_text
 from calib.core.base.words import count_noun, listing
@@ -17,13 +16,12 @@ from calib.core.data.table_writing import format_table
 from calib.core.instruments.board import Board
 from calib.photographs.camera_alone import LEAST_IMAGES, views
 from calib.photographs.commands.boards import board_option, read_board_option
-from calib.photographs.detection import DetectedImage, Detection, detect
+from calib.photographs.detection import Detection, detect
 from calib.photographs.estimation import LITTLE_TURN, turning
-from calib.photographs.image_coverage import LITTLE_COVERAGE, image_coverage
 from calib.photographs.images import Shot, joint_columns, shots, with_joints
 from calib.photographs.opencv import GreyImage
 from calib.photographs.pages import figure, small_copy
-from calib.photographs.scene import scene_of
+from calib.photographs.scene import LITTLE_COVERAGE, scene_of
 from calib.pictures import installed
 
 
@@ -56,10 +54,8 @@ def command(
     described, photographs = read_board_option(board), with_joints(shots(images, topic))
     output.check(out, page_file)
     detection, small = detect_board(described, photographs, output, pictures=page_file is not None)
-    if not detection.usable:
-        raise nothing_found(detection)
-    output.write(out, pixel_table(detection, photographs, columns))
-    lines = summary(detection)
+    output.write(out, _pixel_table(detection, photographs, columns))
+    lines, content = summary(detection)
     if page_file:
         figures = []
         for image, copy in zip(detection.images, small, strict=True):
@@ -70,45 +66,41 @@ def command(
     for line in lines:
         output.say(line)
     output.say(f"Written to {out}")
-    output.json(content(detection))
+    output.json(content)
 
 
 def detect_board(
     board: Board, photographs: Sequence[Shot], output: Output, *, pictures: bool
 ) -> tuple[Detection, list[bytes]]:
-    """Find a board in images, and report each image without one; return small copies too if `pictures`."""
+    """Find a board in images, and report each image without one; return small copies too if `pictures`.
+
+    Raises:
+        DataError: No image shows the board.
+    """
     small: list[bytes] = []
-
-    def read() -> Iterator[tuple[str, GreyImage | str]]:
-        for shot in photographs:
-            image = shot.read()
-            small.append(small_copy(image) if pictures else b"")
-            yield shot.name, image
-
     with output.working("looking for the board") as progress:
-        detections = detect(board, read())
-        for k, _ in enumerate(photographs):
-            next(detections)
-            progress(k + 1, len(photographs))
-        result = next(detections)  # in the whole set
-    assert isinstance(result, Detection)
+
+        def read() -> Iterator[tuple[str, GreyImage | str]]:
+            for k, shot in enumerate(photographs):
+                progress(k, len(photographs))
+                image = shot.read()
+                small.append(small_copy(image) if pictures else b"")
+                yield shot.name, image
+
+        result = detect(board, read())
     for image in result.images:
         if image.remark:
             output.note(f"{'note' if image.usable else 'left out'}: {image.name}: {image.remark}")
+    if not result.usable:
+        first = result.images[0]
+        raise DataError(f"no board in {count_noun(len(result.images), 'image')}; {first.name}: {first.remark}")
     return result, small
 
 
-def nothing_found(detection: Detection) -> DataError:
-    """Return the error of a set of images without a board."""
-    first = detection.images[0]
-    return DataError(f"no board in {count_noun(len(detection.images), 'image')}; {first.name}: {first.remark}")
-
-
-def pixel_table(detection: Detection, photographs: Sequence[Shot], columns: str) -> str:
-    """Return the detected points as a table, with one row for each point."""
-    by_name = {shot.name: shot for shot in photographs}
+def _pixel_table(detection: Detection, photographs: Sequence[Shot], columns: str) -> str:
+    """The detected points as a table, with one row for each point."""
     usable = detection.usable
-    names, joints = joint_columns([by_name[image.name] for image in usable])
+    names, joints = joint_columns(photographs, [image.name for image in usable])
     counts = [len(image.points) for image in usable]
     pixels = np.concatenate([image.pixels for image in usable])
     table: list[tuple[str, Sequence[object]]] = [
@@ -122,26 +114,22 @@ def pixel_table(detection: Detection, photographs: Sequence[Shot], columns: str)
     return format_table(table, (f"image: {width} x {height} px", f"board: {detection.board}"))
 
 
-def _number(point: str) -> list[int]:
-    return [int(part) for part in point[1:].split(".")]
-
-
-def summary(detection: Detection) -> list[str]:
-    """Return a summary of the detection in words, with its shortcomings."""
-    usable, whole = detection.usable, len(detection.board.points())
+def summary(detection: Detection) -> tuple[list[str], dict[str, object]]:
+    """Return the detection in words, with its shortcomings, and as data for JSON."""
+    board, usable, points = detection.board, detection.usable, detection.board.points()
+    scene = scene_of(usable, board, np.tile(np.eye(4), (len(usable), 1, 1)))
+    spreads = turning(views(scene)) if len(usable) >= LEAST_IMAGES else np.full(3, np.nan)
     lines = [
         f"{count_noun(detection.n_points, 'point')} in {len(usable)} of {count_noun(len(detection.images), 'image')}"
-        f" ({detection.board}; {sum(len(image.points) == whole for image in usable)} show the whole board)"
+        f" ({board}; {sum(len(image.points) == len(points) for image in usable)} show the whole board)"
     ]
-    if detection.board.kind == "charuco" and detection.board.legacy:
+    if board.kind == "charuco" and board.legacy:
         lines.append("The board has the layout of OpenCV before 4.6 (legacy: true)")
-    covered = coverage(usable)
-    lines.append(f"The board was seen in {100 * covered:.0f} % of the image")
-    if covered < LITTLE_COVERAGE:
+    lines.append(f"The board was seen in {100 * scene.coverage:.0f} % of the image")
+    if scene.coverage < LITTLE_COVERAGE:
         lines.append(
             "That is too little to find the lens: bring the board into the corners and edges of the image, near and far"
         )
-    spreads = camera_rotation_spread(detection)
     if np.all(np.isfinite(spreads)):
         first, second = (quantity_text(spread, "deg", ".0f") for spread in spreads[:2])
         lines.append(
@@ -151,43 +139,30 @@ def summary(detection: Detection) -> list[str]:
             lines.append(
                 "That is too little to find where the camera is: tilt the tool by 20 to 40 deg about two axes or more"
             )
-    missing = sorted(set(detection.board.points()) - {name for image in usable for name in image.points}, key=_number)
+    missing = sorted(
+        set(points) - {name for image in usable for name in image.points},
+        key=lambda point: [int(part) for part in point[1:].split(".")],
+    )
     if missing and len(usable) >= LEAST_IMAGES:
         lines.append(
             f"In no image: {count_noun(len(missing), 'point')} of the board ({listing(missing)}); check columns and"
             " rows, and that nothing covers them"
         )
-    return lines
-
-
-def camera_rotation_spread(detection: Detection) -> FloatArray:
-    """Return the spread of camera rotations relative to the board, largest first, (3,) [rad]; NaN for < 3 images."""
-    if len(detection.usable) < LEAST_IMAGES:
-        return np.full(3, np.nan)
-    nothing = np.tile(np.eye(4), (len(detection.usable), 1, 1))
-    return turning(views(scene_of(detection.usable, detection.board, nothing)))
-
-
-def coverage(usable: Sequence[DetectedImage]) -> float:
-    """Return the part of the image area in which the board was seen, 0 to 1."""
-    return image_coverage(np.concatenate([image.pixels for image in usable]), usable[0].size) if usable else 0.0
-
-
-def content(detection: Detection) -> dict[str, object]:
-    """Return the detection as data for JSON."""
-    return {
-        "board": detection.board.model_dump(exclude_none=True),
+    images = [
+        {
+            "name": image.name,
+            "points": len(image.points),
+            "edge_px": image.edge,
+            "remark": image.remark,
+            "used": image.usable,
+        }
+        for image in detection.images
+    ]
+    content = {
+        "board": board.model_dump(exclude_none=True),
         "n_points": detection.n_points,
-        "coverage": coverage(detection.usable),
-        "turned_rad": camera_rotation_spread(detection).tolist(),
-        "images": [
-            {
-                "name": image.name,
-                "points": len(image.points),
-                "edge_px": image.edge,
-                "remark": image.remark,
-                "used": image.usable,
-            }
-            for image in detection.images
-        ],
+        "coverage": scene.coverage,
+        "turned_rad": spreads.tolist(),
+        "images": images,
     }
+    return lines, content

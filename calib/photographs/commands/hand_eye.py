@@ -22,19 +22,18 @@ from calib.core.data.tables import read_table
 from calib.core.instruments.board import Board
 from calib.core.robots.robot import Robot
 from calib.photographs.camera_files import read_camera
+from calib.photographs.choices import LENSES
 from calib.photographs.commands.boards import board_if_any, read_board_option
-from calib.photographs.commands.detect import detect_board, nothing_found, summary
+from calib.photographs.commands.detect import detect_board, summary
 from calib.photographs.detection import DetectedImage
-from calib.photographs.hand_eye import HandEye
-from calib.photographs.hand_eye_calibration import calibrate, require_images
+from calib.photographs.hand_eye import HandEye, calibrate, require_images
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report, transform_files
 from calib.photographs.images import Shot, joint_columns, shots, with_joints
-from calib.photographs.lens_choice import LENSES
 from calib.photographs.mistakes import Mistake
 from calib.photographs.pages import exaggeration, figure
 from calib.photographs.pose_pairs import PosePairs, content_of_pairs, judge_pairs, report_pairs, solve_pairs
 from calib.photographs.scene import Mount, scene_of
-from calib.photographs.tool_poses import ANGLES, image_names, match_images, pose_columns, poses_of, read_tool_poses
+from calib.photographs.tool_poses import ANGLES, image_names, pose_columns, poses_of, poses_of_images
 from calib.pictures import installed
 
 _NO_POSES = (
@@ -130,10 +129,8 @@ def command(
         small = {shot.name: copy for shot, copy in zip(photographs, copies, strict=True)}
         detected_images, described = list(detection.usable), detection.board
         mirrored = [image.name for image in detection.images if image.mirrored]
-        for line in summary(detection):
+        for line in summary(detection)[0]:
             output.say(line)
-        if not detected_images:
-            raise nothing_found(detection)
     tool = _tool_poses(detected_images, poses, model, angles, photographs, output)
     by_name = {image.name: image for image in detected_images}
     detected_images = [by_name[name] for name in tool]
@@ -184,13 +181,11 @@ def _pairs(
     table = read_table(path, {})
     places = pose_columns(table)
     if poses is not None and len(places) == 1:
-        seen = poses_of(table, next(iter(places.values())), angles)
-        marker_names = image_names(table)
-        names, tool = read_tool_poses(poses, robot=model, angles=angles)
-        chosen, remarks = match_images(marker_names, names, poses)
+        seen = dict(zip(image_names(table), poses_of(table, next(iter(places.values())), angles), strict=True))
+        tool, remarks = poses_of_images(list(seen), poses, robot=model, angles=angles)
         output.remarks([f"left out: {text}" for text in remarks])
-        kept = [marker_names.index(names[k]) for k in chosen]
-        return [names[k] for k in chosen], tool[chosen], seen[kept]
+        names = [name for name in seen if name in tool]
+        return names, np.array([tool[name] for name in names]), np.array([seen[name] for name in names])
     if poses is None and len(places) == 2:
         of_camera = [name for name in places if _OF_CAMERA.search(name)]
         if len(of_camera) != 1:
@@ -213,7 +208,7 @@ def _write_pairs(result: PosePairs, frames: Frames, out: str, output: Output) ->
     output.say(report_pairs(result, frames))
     data = content_of_pairs(result, frames)
     written = {"hand_eye.json": json_file(data)}
-    whole = result.is_determined and (judgement.grade != "FAIL" or output.force)
+    whole = not np.any(result.camera.open) and (judgement.grade != "FAIL" or output.force)
     if whole:
         written |= transform_files(result.camera.pose, result.mount, frames)
     write_folder(out, written, force=output.force)
@@ -234,14 +229,12 @@ def _tool_poses(
     """The pose of the tool, (4, 4), at each image that has one, by name in the order of the rows."""
     seen = [image.name for image in detected_images]
     if poses is not None:
-        names, tool = read_tool_poses(poses, robot=model, angles=angles)
-        chosen, remarks = match_images(seen, names, poses)
+        tool, remarks = poses_of_images(seen, poses, robot=model, angles=angles)
         output.remarks([f"left out: {text}" for text in remarks])
-        return {names[k]: tool[k] for k in sorted(chosen)}
+        return tool
     if model is None or not photographs:
         raise InputError(_NO_POSES)
-    by_name = {shot.name: shot for shot in photographs}
-    names, values = joint_columns([by_name[name] for name in seen])
+    names, values = joint_columns(photographs, seen)
     missing = next((name for name in model.joint_names if name not in names), None)
     if missing is not None:
         raise DataError(f"the bag has no joint '{missing}'{nearest(missing, names)}")
@@ -254,12 +247,10 @@ def _read_detected(path: str, board: Board) -> list[DetectedImage]:
     size = next((match for text in table.comments if (match := _SIZE.search(text))), None)
     if size is None:
         raise DataError(f"{path}: does not say how large the images are; put '# image: 1600 x 1200 px' at its head")
-    pixel = next((name.removesuffix("_u") for name in table.names if name.endswith("_u")), None)
-    if pixel is None or f"{pixel}_v" not in table.names or "point" not in table.names:
+    pixel = next((name.removesuffix("_u") for name in table.names if name.endswith("_u")), "")
+    key = next((name for name in ("pose", "image") if name in table.names), "pose")
+    if not {key, "point", f"{pixel}_u", f"{pixel}_v"} <= set(table.names):
         raise DataError(f"{path}: needs columns pose, point, camera_u and camera_v, as calib detect writes them")
-    key = next((name for name in ("pose", "image") if name in table.names), None)
-    if key is None:
-        raise DataError(f"{path}: has no column 'pose'")
     pixels = np.stack([table.column(f"{pixel}_{axis}", "pixel") for axis in "uv"], axis=1)
     names, points, known = table.text(key), table.text("point"), board.points()
     strange = next((k for k, name in enumerate(points) if name not in known), None)
@@ -280,7 +271,7 @@ def _read_detected(path: str, board: Board) -> list[DetectedImage]:
 def _page(result: HandEye, frames: Frames, detected_images: Sequence[DetectedImage], small: dict[str, bytes]) -> bytes:
     scene, images = result.scene, {image.name: image for image in detected_images}
     factor = exaggeration(result.pixels, scene.size[0])
-    each, on = result.rms_by_image(result.pixels), result.rms_by_image(result.board)
+    each, on = scene.rms_by_image(result.pixels), scene.rms_by_image(result.board)
     figures = []
     for i, name in enumerate(scene.names):
         points = scene.image == i

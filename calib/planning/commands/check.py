@@ -88,6 +88,7 @@ def command(
     with output.working(f"checking {len(pose_set)} poses"):
         assessment = check(model, pose_set, task=task_poses, sigma=sigma)
     output.remarks(unordered(pose_set) if isinstance(pose_set, Measurements) else collisions.notes)
+    blocked = {name: hit for name, hit in zip(pose_set.names, collisions.hits, strict=True) if hit}
     for name, hit in zip(pose_set.names, collisions.hits, strict=True):
         if hit:
             output.alarm(f"pose {name}: {hit}")
@@ -99,6 +100,5 @@ def command(
     if plots is not None:
         output.say(f"Figures written to {plots}")
     output.say(advice_after_check(assessment, robot, pose_set, data, options_as_typed()))
-    blocked = {name: hit for name, hit in zip(pose_set.names, collisions.hits, strict=True) if hit}
     free = {"not_free": blocked, "collisions_unchecked": collisions.unchecked or None}
     output.json({"robot": model.path, "poses": source} | to_dict(assessment) | free)

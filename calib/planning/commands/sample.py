@@ -16,7 +16,7 @@ from calib.core.data.measurement_files import format_measurements, read_poses
 from calib.core.data.measurements import measurements
 from calib.core.robots.robot import Robot
 from calib.planning.pose_sampling import free_sample, little_seen
-from calib.shared.free_poses import worth_sentence
+from calib.shared.pose_check import worth_sentence
 
 _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<unit>[A-Za-z]*)$")
 

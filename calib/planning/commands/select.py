@@ -32,9 +32,8 @@ from calib.pictures import figures
 from calib.planning.instrument_choice import ALL, EACH
 from calib.planning.pose_sampling import little_seen
 from calib.planning.selection import select
-from calib.planning.selection_problem import TASK
+from calib.planning.selection_problem import CHOICES, TASK
 from calib.planning.selection_result import Selection
-from calib.planning.selection_scores import CHOICES
 from calib.planning.selection_text import advice_after_select, format_poses, text_report, to_dict
 from calib.shared.pose_files import different_poses, place_by_files
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from calib.core.data.measurement_columns import (
     approach_columns,
     cells_of,
     condition_columns,
-    joint_columns,
     pose_columns,
 )
 from calib.core.data.measurement_files import read_poses
@@ -29,7 +28,7 @@ from calib.core.data.tables import read_table
 from calib.core.results.result_reading import load_result, read_content
 from calib.core.robots.robot import Robot
 from calib.programs.commands.compensate_program import compensate_controller, compensate_gcode
-from calib.programs.commands.report import Job, figures_of, frame_words, no_correction_sentence, summary
+from calib.programs.commands.report import Job, figures_of, frame_words, no_correction_sentence, rows_of, summary
 from calib.programs.languages import languages
 from calib.programs.languages.controller_program import COUPLED
 from calib.programs.languages.correction_grid import correction_grid
@@ -156,17 +155,21 @@ def _compensate_table(job: Job, *, keep: str | None, grid: str | None, skip_unre
     comments = job.comments(f"{job.program} for {nominal.name}, {done}; {kept}")
     columns = _columns(nominal, rows, compensation)
     output.write(job.out, format_table(columns, comments))
-    lost = _columns_left_out(job.program, nominal, [name.partition(" [")[0] for name, _ in columns])
+    kept_names, targets = {name.partition(" [")[0] for name, _ in columns}, tuple(f"{t}_" for t in nominal.target_names)
+    names = read_table(job.program, nominal.description.columns).names
+    lost = [name for name in names if name not in kept_names and not name.startswith(targets)]
     if lost:
         output.note(f"note: {job.program}: not in the written table: {listing(lost)}")
-    n_reached, held_out = int(np.sum(compensation.ok)), _held_out_error(job.result)
+    n_reached, unseen = int(np.sum(compensation.ok)), read_content(job.result)["errors"].get("validation")
+    held_out = None if unseen is None else unseen["after"].get("rms")
+    states = {"status": [why or "ok" for why in compensation.reasons]}
     content = {
         "robot": nominal.path,
         "kept": compensation.kept_components,
         "n_rows": len(rows),
         "n_unreachable": len(rows) - n_reached,
         "held_out_rms_mm": held_out,
-        "rows": _rows(nominal, compensation),
+        "rows": rows_of(nominal, compensation.names, compensation.q, compensation.ok, states, compensation.figures()),
     }
     what = (
         f"{n_reached} of {count_noun(len(rows), 'row')}",
@@ -210,13 +213,6 @@ def _read_program(path: str, robot: Robot, output: Output) -> Poses | Goals:
     return read_poses(path, robot)
 
 
-def _columns_left_out(path: str, robot: Robot, written: Sequence[str]) -> list[str]:
-    """Names of the program's columns that are not written, without those of targets."""
-    targets = tuple(f"{target}_" for target in robot.target_names)
-    names = read_table(path, robot.description.columns).names
-    return [name for name in names if name not in written and not name.startswith(targets)]
-
-
 def _require_all(compensation: Compensation, frame: str) -> None:
     misses = compensation.unreached_rows()
     if misses:
@@ -246,36 +242,11 @@ def _poses_to_command(robot: Robot, program: Goals, compensation: Compensation) 
     name = compensation.target
     shown = {f"{name}_{axis} [mm]": millimetres(positions[:, k]) for k, axis in enumerate("xyz")}
     if program.rotations is not None:
-        angles = in_unit(_rpy(rotations), "deg")
+        angles = in_unit(np.array([pin.rpy.matrixToRpy(R) for R in rotations]), "deg")
         shown |= {f"{name}_r{axis} [deg]": angles[:, k] for k, axis in enumerate("xyz")}
     if program.directions is not None:
         shown |= {f"{name}_a{axis}": rotations[:, k, 2] for k, axis in enumerate("xyz")}
     return shown
-
-
-def _rpy(rotations: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw about fixed axes, (n, 3) [rad]; NaN for a rotation with NaN."""
-    return np.array([np.full(3, np.nan) if np.isnan(R).any() else pin.rpy.matrixToRpy(R) for R in rotations])
-
-
-def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
-    """One entry of --json for each row; null where there is no number."""
-    joints, figures = joint_columns(robot, compensation.q), compensation.figures()
-    return [
-        {
-            "pose": name,
-            "status": compensation.reasons[k] or "ok",
-            "joints": {joint: float(values[k]) for joint, values in joints.items()} if compensation.ok[k] else None,
-            **{f"{figure}_{unit}": float(values[k]) for (figure, unit), values in figures.items()},
-        }
-        for k, name in enumerate(compensation.names)
-    ]
-
-
-def _held_out_error(folder: str) -> float | None:
-    """Root mean square error of the validation measurements [mm]; None if the fit had none."""
-    errors = read_content(folder)["errors"].get("validation")
-    return None if errors is None else errors["after"].get("rms")
 
 
 def _compensate_grid(job: Job, program: Poses | Goals, grid: str) -> None:

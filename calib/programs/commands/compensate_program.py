@@ -20,7 +20,7 @@ from calib.programs.languages.controller_program import CompensatedProgram, comp
 from calib.programs.languages.gcode import read_gcode
 from calib.programs.languages.gcode_program import ROUNDING
 from calib.programs.languages.languages import read_program
-from calib.programs.languages.straight_moves import CompensatedMoves, StraightMoves, compensate_moves
+from calib.programs.languages.straight_moves import StraightMoves, compensate_moves
 
 _SHOWN = 20
 
@@ -137,9 +137,6 @@ def _remarks(compensated: CompensatedProgram, figures: Figures) -> list[str]:
     ]
 
 
-_TOLERANCE_MM = 0.01
-
-
 def compensate_gcode(
     job: Job,
     *,
@@ -155,9 +152,8 @@ def compensate_gcode(
         InputError: An option has a value that cannot be.
         DataError: The robot has several targets, or the program has other moves than straight ones (names the line).
     """
-    origin = np.array(_point(zero, "--zero") or (0.0, 0.0, 0.0))
-    begin = _point(start, "--start")
-    tolerance_mm = _TOLERANCE_MM if tolerance_mm is None else tolerance_mm
+    origin, begin = np.array(_point(zero, "--zero") or (0.0, 0.0, 0.0)), _point(start, "--start")
+    tolerance_mm = 0.01 if tolerance_mm is None else tolerance_mm
     if not 1e-3 <= tolerance_mm <= 1e3:
         raise InputError(f"--tolerance-mm {tolerance_mm:g}: must lie between 0.001 and 1000")
     robot = job.robot_knowledge.robot
@@ -176,12 +172,17 @@ def compensate_gcode(
     )
     with job.output.working(f"compensating {count_noun(len(program.moves), 'move')}"):
         compensated = compensate_moves(job.robot_knowledge, moves, tolerance)
-    figures = _figures(compensated)
+    between = compensated.deviations[np.isfinite(compensated.deviations)] + ROUNDING
+    figures = {
+        "before_mm": summary(millimetres(compensated.before)),
+        "expected_mm": summary(millimetres(compensated.expected)),
+        "between_mm": summary(millimetres(between if len(between) else np.zeros(1))),
+    }
     worst, n_pieces = figures["between_mm"]["max"], sum(len(way) for way in compensated.waypoints)
     done = f"compensated for {robot.name} with {job.result}; between points at most {worst:.4f} mm off"
     ways: list[FloatArray] | None = [way - origin for way in compensated.waypoints]
-    more = f"Between points it is off by another {worst:.4f} mm at worst, measured at"
-    lines = [f"{more} {count_noun(compensated.n_measured, 'point')}"]
+    points = count_noun(compensated.n_measured, "point")
+    lines = [f"Between points it is off by another {worst:.4f} mm at worst, measured at {points}"]
     if compensated.nothing_to_correct:
         done, ways, lines = f"left as it is for {robot.name}: {no_correction_sentence(job.result)}", None, []
     comments = job.comments(f"{done}; errors are {compensated.frame}")
@@ -201,11 +202,3 @@ def _point(text: str | None, option: str) -> tuple[float, ...] | None:
     if len(parts) != 3:
         raise InputError(f"{option} '{text}': write three numbers in mm, such as 0,0,-400")
     return tuple(quantity(f"{part.strip()} mm", "length", option) for part in parts)
-
-
-def _figures(compensated: CompensatedMoves) -> dict[str, dict[str, float]]:
-    """Root mean square and largest error [mm]: without compensation, expected with it, and along the cut moves."""
-    measured = compensated.deviations[np.isfinite(compensated.deviations)]
-    between = measured + ROUNDING if len(measured) else np.zeros(1)
-    shown = {"before_mm": compensated.before, "expected_mm": compensated.expected, "between_mm": between}
-    return {name: summary(millimetres(values)) for name, values in shown.items()}

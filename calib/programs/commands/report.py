@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray
+from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.contributions import names_of
 from calib.core.commands.common import Output, failure_lines
+from calib.core.data.measurement_columns import joint_columns
 from calib.core.robots.robot import Robot
 from calib.core.rows.frames import KnownRobot
 from calib.programs.reaching.compensation import Compensation
@@ -56,6 +57,30 @@ def expected_error_sentence(
     if before is None:
         return now
     return f"{now}; without the correction by {math.hypot(before['rms'], expected['rms']):.4f} {unit} (RMS)"
+
+
+def rows_of(
+    robot: Robot,
+    names: Sequence[str],
+    q: FloatArray,
+    ok: BoolArray,
+    states: Mapping[str, Sequence[object]],
+    errors: Mapping[tuple[str, str], FloatArray],
+) -> list[dict[str, object]]:
+    """Return an entry of --json for each row: its states, joints q (n, n_actuated) [m or rad] where `ok`, and errors.
+
+    Joints are null where the mask `ok` (n,) is not set.
+    """
+    joints = joint_columns(robot, q)
+    return [
+        {
+            "pose": name,
+            **{key: values[k] for key, values in states.items()},
+            "joints": {joint: float(values[k]) for joint, values in joints.items()} if ok[k] else None,
+            **{f"{error}_{unit}": float(values[k]) for (error, unit), values in errors.items()},
+        }
+        for k, name in enumerate(names)
+    ]
 
 
 def figures_of(compensation: Compensation) -> dict[str, dict[str, float]]:

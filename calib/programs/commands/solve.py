@@ -27,6 +27,7 @@ from calib.programs.commands.report import (
     frame_sentences,
     frame_words,
     no_correction_sentence,
+    rows_of,
     summary,
 )
 from calib.programs.reaching.goals import Goals, read_goals
@@ -90,13 +91,18 @@ def command(
     labels = [solution.labels[k] for k in reached]
     remarks = near_singularities(model, model.assemble(solution.q[reached], labels=labels), labels)
     output.remarks(remarks)
+    states = {
+        "reached": solution.ok.tolist(),
+        "miss_mm": millimetres(solution.miss_position).tolist(),
+        "miss_deg": in_unit(solution.miss_angle, "deg").tolist(),
+    }
     output.json(
         {
             "robot": model.path,
             "asked_for": goals.asks_for,
             **({"frame": expected.frame, "contains": names_of(expected.contains)} if folder else {}),
             "nothing_to_correct": solution.expected.nothing_to_correct,
-            "targets": _rows(model, goals, solution),
+            "targets": rows_of(model, goals.names, solution.q, solution.ok, states, expected.figures()),
             "near_singular": remarks,
         }
     )
@@ -136,19 +142,3 @@ def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, 
     for (name, unit), values in solution.expected.figures().items():
         columns[f"{name} [{unit}]"] = list(values[reached])
     return format_table(list(columns.items()), comments)
-
-
-def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, object]]:
-    """One entry of --json for each goal; joints are null where it is out of reach."""
-    joints, expected = joint_columns(robot, solution.q), solution.expected.figures()
-    return [
-        {
-            "pose": name,
-            "reached": bool(solution.ok[k]),
-            "miss_mm": millimetres(float(solution.miss_position[k])),
-            "miss_deg": in_unit(float(solution.miss_angle[k]), "deg"),
-            "joints": {joint: float(values[k]) for joint, values in joints.items()} if solution.ok[k] else None,
-            **{f"{figure}_{unit}": float(values[k]) for (figure, unit), values in expected.items()},
-        }
-        for k, name in enumerate(goals.names)
-    ]

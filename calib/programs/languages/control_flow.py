@@ -44,24 +44,16 @@ class _Step:
 
 @dataclass
 class _Routine:
-    """Steps of a routine, and the states at them."""
+    """Steps of a routine, the states at them, and the calls in it and of it; its number is that of its beginning."""
 
+    number: int
     at_any_time: bool
     steps: list[_Step] = field(default_factory=list)
     labels: dict[str, int] = field(default_factory=dict)
     states: dict[int, State] = field(default_factory=dict)
     keys: set[str] = field(default_factory=set)
     calls: set[str] = field(default_factory=set)
-
-    @property
-    def final_state(self) -> State | None:
-        """State after the last step; None as long as no return of the routine is known."""
-        return self.states.get(len(self.steps))
-
-    def state_at(self, at: int, state: State) -> State:
-        """Return the state at a step reached with `state`, joined with earlier states where paths meet."""
-        many = at in (0, len(self.steps)) or self.steps[at].kind in ("label", "call")
-        return _join_states(self.states[at], state) if many and at in self.states else state
+    called_at: set[tuple[int, int]] = field(default_factory=set)
 
 
 class Flow:
@@ -73,9 +65,8 @@ class Flow:
 
     def __init__(self, start: State) -> None:
         self.start = dict(start)
-        self.routines: dict[str, _Routine] = {}
+        self._routines = {"": _Routine(0, at_any_time=False)}
         self._open = [""]  # reading begins outside all routines
-        self.routines[""] = _Routine(at_any_time=False)
         self._count = 0
 
     # steps that a reader records
@@ -86,9 +77,9 @@ class Flow:
         Raises:
             DataError: There is a routine with this name.
         """
-        if name in self.routines:
+        if name in self._routines:
             raise DataError(f"{where}: '{name}' is declared twice; give each routine its own name")
-        self.routines[name] = _Routine(at_any_time)
+        self._routines[name] = _Routine(len(self._routines), at_any_time)
         self._open.append(name)
 
     def finish(self) -> None:
@@ -103,7 +94,7 @@ class Flow:
         return self._open[-1]
 
     def _add(self, step: _Step) -> None:
-        routine = self.routines[self.routine]
+        routine = self._routines[self.routine]
         if step.kind == "label":
             routine.labels[step.place] = len(routine.steps)
         routine.keys |= step.keys
@@ -163,36 +154,30 @@ class Flow:
 
     def follow(self) -> None:
         """Propagate states along all paths, then call every move with its state, in the order of the text."""
-        for routine in self.routines.values():
-            routine.calls &= set(self.routines)
+        self._in_order = list(self._routines.values())
         self._spread_keys()
-        keys = {key for routine in self.routines.values() for key in routine.keys}
-        loose = {key for routine in self.routines.values() if routine.at_any_time for key in routine.keys}
+        at_any_time = [routine for routine in self._in_order if routine.at_any_time]
+        keys, loose = (set[str]().union(*(each.keys for each in some)) for some in (self._in_order, at_any_time))
         everything = (keys | set(self.start)) - {EVERYTHING}
         changed, loose = (everything if EVERYTHING in some else some for some in (keys, loose))
-        steps = (step for routine in self.routines.values() if routine.at_any_time for step in routine.steps)
+        reasons = (step.why for routine in at_any_time for step in routine.steps if step.why)
         set_anywhere = "is also set by a part of the program that runs at any time"
-        self._loose = dict.fromkeys(loose, Unknown(next((step.why for step in steps if step.why), set_anywhere)))
-        self._start = {**dict.fromkeys(everything), **self.start}
-        anything = {**self._start, **dict.fromkeys(changed, Unknown("is set by other parts of the program"))}
+        self._loose = dict.fromkeys(loose, Unknown(next(reasons, set_anywhere)))
+        start: State = {**dict.fromkeys(everything), **self.start}
+        anything: State = {**start, **dict.fromkeys(changed, Unknown("is set by other parts of the program"))}
         self._work: list[tuple[int, int]] = []
-        self._names = list(self.routines)
-        self._numbers = {name: number for number, name in enumerate(self._names)}
-        self._callers: dict[str, set[tuple[int, int]]] = {name: set() for name in self._names}
-        called = {name for routine in self.routines.values() for name in routine.calls}
-        for name, routine in self.routines.items():
-            if routine.at_any_time:
-                self._arrive(name, 0, anything)
-            elif name not in called:
-                self._arrive(name, 0, self._start)
+        called = set[str]().union(*(routine.calls for routine in self._in_order))
+        for name, routine in self._routines.items():
+            if routine.at_any_time or name not in called:
+                self._arrive(routine, 0, anything if routine.at_any_time else start)
         self._run()
-        for name, routine in self.routines.items():
+        for routine in self._in_order:
             if 0 not in routine.states:  # routines that only call each other
-                self._arrive(name, 0, self._start)
+                self._arrive(routine, 0, start)
                 self._run()
         moves = [
             (step.at, step.move, routine.states.get(at))
-            for routine in self.routines.values()
+            for routine in self._in_order
             for at, step in enumerate(routine.steps)
             if step.move is not None
         ]
@@ -201,60 +186,54 @@ class Flow:
 
     def _spread_keys(self) -> None:
         """Add to the settings of each routine the settings of the routines that it calls."""
-        callers: dict[str, list[str]] = {name: [] for name in self.routines}
-        for name, routine in self.routines.items():
+        callers: dict[str, list[_Routine]] = {name: [] for name in self._routines}
+        for routine in self._in_order:
+            routine.calls &= set(self._routines)
             for callee in routine.calls:
-                callers[callee].append(name)
-        for key in {key for routine in self.routines.values() for key in routine.keys}:
-            work = [name for name, routine in self.routines.items() if key in routine.keys]
-            while work:
-                for caller in callers[work.pop()]:
-                    if key not in self.routines[caller].keys:
-                        self.routines[caller].keys.add(key)
-                        work.append(caller)
+                callers[callee].append(routine)
+        names = list(self._routines)
+        work = [(routine, key) for routine in self._in_order for key in routine.keys]
+        while work:
+            routine, key = work.pop()
+            for caller in callers[names[routine.number]]:
+                if key not in caller.keys:
+                    caller.keys.add(key)
+                    work.append((caller, key))
 
-    def _arrive(self, name: str, at: int, state: State) -> None:
-        """Merge a state into the state at a step, and queue the step if that state has changed."""
-        routine = self.routines[name]
-        together = routine.state_at(at, {**state, **self._loose})
-        if together != routine.states.get(at):
-            routine.states[at] = together
-            heapq.heappush(self._work, (self._numbers[name], at))
+    def _arrive(self, routine: _Routine, at: int, state: State) -> None:
+        """Merge a state into the state at a step where paths meet, and queue the step if that state has changed."""
+        before, state = routine.states.get(at), {**state, **self._loose}
+        if before is not None and (at in (0, len(routine.steps)) or routine.steps[at].kind in ("label", "call")):
+            state = _join_states(before, state)
+        if state != before:
+            routine.states[at] = state
+            heapq.heappush(self._work, (routine.number, at))
 
     def _run(self) -> None:
+        """Propagate the state of every queued step to all next steps; the end of a routine leads back to its calls."""
         while self._work:
             number, at = heapq.heappop(self._work)
-            self._take_step(self._names[number], at)
-
-    def _take_step(self, name: str, at: int) -> None:
-        """Propagate the state of a step to all next steps; the end of a routine leads back to all its calls."""
-        routine = self.routines[name]
-        if at == len(routine.steps):
-            for caller in self._callers[name]:
-                heapq.heappush(self._work, caller)
-            return
-        step, state = routine.steps[at], routine.states[at]
-        after: State | None = state
-        if step.change is not None:
-            after = step.change(state)
-        elif step.kind in ("jump", "maybe"):
-            if step.place in routine.labels:
-                self._arrive(name, routine.labels[step.place], state)
-            after = state if step.kind == "maybe" else None
-        elif step.kind == "call" and step.place in self.routines:
-            after = self._state_after_call(name, at, step.place, state)
-        if after is not None:
-            self._arrive(name, at + 1, after)
-
-    def _state_after_call(self, name: str, at: int, callee: str, state: State) -> State | None:
-        """State after a call; None as long as no return of the routine is known."""
-        routine = self.routines[callee]
-        self._callers[callee].add((self._numbers[name], at))
-        self._arrive(callee, 0, state)
-        if routine.final_state is None:
-            return None
-        keys = set(routine.final_state) if EVERYTHING in routine.keys else routine.keys
-        return {**state, **{key: routine.final_state[key] for key in keys if key in routine.final_state}}
+            routine = self._in_order[number]
+            if at == len(routine.steps):
+                for caller in routine.called_at:
+                    heapq.heappush(self._work, caller)
+                continue
+            step, after = routine.steps[at], routine.states[at]
+            if step.kind in ("jump", "maybe") and step.place in routine.labels:
+                self._arrive(routine, routine.labels[step.place], after)
+            if step.change is not None:
+                after = step.change(after)
+            elif step.kind == "call" and step.place in self._routines:
+                callee = self._routines[step.place]
+                callee.called_at.add((number, at))
+                self._arrive(callee, 0, after)
+                end = callee.states.get(len(callee.steps))
+                if end is None:  # no return of the routine is known
+                    continue
+                keys = end.keys() if EVERYTHING in callee.keys else callee.keys & end.keys()
+                after = {**after, **{key: end[key] for key in keys}}
+            if step.kind != "jump":
+                self._arrive(routine, at + 1, after)
 
 
 def _join_states(one: State, other: State) -> State:

@@ -96,14 +96,8 @@ def compensate_program(
         target, why = next((target, why) for target, why in zip(program.targets, reasons, strict=True) if why)
         raise DataError(f"{target.label}: {why}; no target of the program can be compensated")
     targets = [program.targets[k] for k in map(int, rows)]
-    poses = Poses(
-        q[rows],
-        tuple(target.label for target in targets),
-        tuple(target.name or str(target.line) for target in targets),
-        program.sources[0].path,
-        (),
-    )
-    compensation = compensate(known, poses)
+    labels, names = zip(*((target.label, target.name or str(target.line)) for target in targets), strict=True)
+    compensation = compensate(known, Poses(q[rows], labels, names, program.sources[0].path, ()))
     values: list[tuple[float, ...] | None] = [None] * len(program.targets)
     rounding, remarks = np.zeros(len(rows)), []
     if not compensation.nothing_to_correct:
@@ -118,19 +112,9 @@ def compensate_program(
             remarks += _remark_on_configuration(cell, joints, target, q[k], command)
     for n, k in enumerate(map(int, rows)):
         reasons[k] = compensation.reasons[n]
-    lever = max((cell.lever(each.tool) for each in targets if each.rotation is not None), default=0.0)
-    return CompensatedProgram(
-        program,
-        compensation,
-        rows,
-        tuple(values),
-        tuple(reasons),
-        tuple(remarks),
-        rounding,
-        lever,
-        cell.base,
-        cell.flange,
-    )
+    lever = max((cell.lever(each.tool.pose) for each in targets if each.rotation is not None), default=0.0)
+    texts = (tuple(values), tuple(reasons), tuple(remarks))
+    return CompensatedProgram(program, compensation, rows, *texts, rounding, lever, cell.base, cell.flange)
 
 
 class _Joints:
@@ -201,7 +185,5 @@ def _remark_on_configuration(
         return []
     over = [j for j, (low, high) in says.ranges.items() if j < len(command) and not low <= command[j] <= high]
     names = ", ".join(f"{cell.robot.joint_names[j]} at {quantity_text(command[j], 'deg', '.4f')}" for j in over)
-    return [
-        f"{target.label}: its configuration ({says.text}) is unchanged, but no longer fits the joint values"
-        f" ({names or 'another side'}); correct it"
-    ]
+    changed = f"no longer fits the joint values ({names or 'another side'}); correct it"
+    return [f"{target.label}: its configuration ({says.text}) is unchanged, but {changed}"]

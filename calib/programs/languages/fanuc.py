@@ -11,18 +11,19 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from calib.core.base.errors import DataError
+from calib.programs.languages import tokens
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.harmless import FANUC, FANUC_OPTIONS
-from calib.programs.languages.reader import Data, Frame, Frames, Reached, Reader, as_selected_frame
-from calib.programs.languages.robot_program import Configuration, LeftOutError, ProgramTarget
-from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_pattern
+from calib.programs.languages.reader import Data, Frames, Reader, as_selected_frame
+from calib.programs.languages.robot_program import ITSELF, Configuration, Frame, LeftOutError, ProgramTarget
+from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_list
 
-_WORDS = word_pattern(
+_WORDS = tokens.word_pattern(
     r"^[^\S\n]*\d*:[^\S\n]*(?:!|//)[^\n]*|^[^\S\n]*\d*:|(?i:MESSAGE)\[[^\]\n]*\]",
     r"[$#]?[^\W\d]\w*",
     r"<>|<=|>=|[-+*/%()\[\]{}=<>,.;:!&@#?^|~$]",
@@ -34,6 +35,7 @@ _POSE, _JOINTS = ("X", "Y", "Z", "W", "P", "R"), ("J1", "J2", "J3", "J4", "J5", 
 _TURNING = (0, 3, 4, 5)  # joints that CONFIG keeps within half a turn
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
 _CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
+_OPTIONS = word_list("FANUC OPTIONS") | {*_CHANGED}
 _NUMBERED = ("UFRAME_NUM", "UTOOL_NUM")
 _STATE = ("UFRAME", "UTOOL", *_NUMBERED)
 
@@ -85,9 +87,8 @@ class _FanucPosition(Data):
             raise self._error("has no CONFIG such as 'N U T, 0, 0, 0'; save it again")
         if any(int(turn) for turn in match.groups()[3:]):
             raise LeftOutError("its configuration counts turns; only 0, 0, 0 is read")
-        flags = {"flipped": match[1] == "F", "elbow": match[2] == "D", "behind": match[3] == "B"}
-        ranges = dict.fromkeys(_TURNING, (-np.pi, np.pi))
-        configuration = Configuration(f"CONFIG : {match[0]}", ranges, **flags)
+        sides = (match[3] == "B", match[2] == "D", match[1] == "F", None)
+        configuration = Configuration(f"CONFIG : {match[0]}", dict.fromkeys(_TURNING, (-np.pi, np.pi)), sides)
         return ProgramTarget(line, path, self.name, cells, "xyz", configuration=configuration)
 
     def _error(self, what: str) -> DataError:
@@ -105,14 +106,14 @@ class _FanucPosition(Data):
 
 def _number_at(code: ProgramWords, at: int) -> str:
     """The number in brackets after a word, without its comment."""
-    return code.tokens[at + 2].text.partition(":")[0].strip()
+    return code.word(at + 2).partition(":")[0].strip()
 
 
 def _positions(source: ProgramSource, part: slice) -> dict[str, _FanucPosition]:
     code, positions = ProgramWords(source, _WORDS, lines="blank", part=part), dict[str, _FanucPosition]()
     for at in code.names(0, len(code.tokens) - 5):
         opening = code.partner[at + 1] + 1
-        if code.tokens[at].text != "P" or not code.is_mark(at + 1, "[") or not code.is_mark(opening, "{"):
+        if code.word(at) != "P" or not code.is_mark(at + 1, "[") or not code.is_mark(opening, "{"):
             continue
         number = _number_at(code, at)
         if number in positions:
@@ -124,14 +125,14 @@ def _positions(source: ProgramSource, part: slice) -> dict[str, _FanucPosition]:
 def _position(code: ProgramWords, at: int, first: int, stop: int) -> _FanucPosition:
     groups, fields, written = [], dict[str, tuple[int, Span, str]](), dict[str, str]()
     for k in code.names(first, stop):
-        name = code.tokens[k].text
+        name = code.word(k)
         if name.startswith("GP") and code.is_mark(k + 1, ":"):
             groups.append(name)
         elif code.is_mark(k + 1, ":"):
-            written.setdefault(name, code.tokens[k + 2].text)
+            written.setdefault(name, code.word(k + 2))
         elif code.is_mark(k + 1, "="):
             behind = k + 4 if code.is_mark(k + 2, "-", "+") else k + 3
-            number, unit = code.number(k + 2, behind), code.tokens[behind].text
+            number, unit = code.number(k + 2, behind), code.word(behind)
             if number is not None and unit in ("MM", "DEG") and len(groups) < 2:
                 if name in fields:
                     raise DataError(f"{code.location(k)}: {name} is given twice; save the program again")
@@ -143,13 +144,14 @@ def _position(code: ProgramWords, at: int, first: int, stop: int) -> _FanucPosit
 class FanucReader(Reader):
     """Reads a program; user frame 0 is the robot's base, and tool 0 its flange."""
 
-    language, breaking, by_value, lost, danger = LANGUAGE, False, True, _STATE, "change it"
+    language, known, danger = LANGUAGE, word_list("FANUC"), "change it"
+    breaking, by_value, lost = False, True, _STATE
 
     def __init__(self, path: Path | str, frames: Frames, harmless: Collection[str]) -> None:
         source = ProgramSource.read(path, "a FANUC program as text (LS)")
         instructions, positions = _sections(source)
         code = ProgramWords(source, _WORDS, lines="blank", ends=";", part=instructions)
-        super().__init__([code], dict.fromkeys(_STATE, ""), frames, FANUC | set(harmless))
+        super().__init__([code], dict.fromkeys(_STATE, ""), frames, harmless)
         self.positions = _positions(source, positions)
         self.given = set(harmless)
 
@@ -159,14 +161,14 @@ class FanucReader(Reader):
         self.flow.jump("first")
         self.flow.label("any label")
         for at in code.names(0, len(code.tokens) - 3):
-            if code.tokens[at].text == "LBL" and (at == 0 or code.tokens[at - 1].kind == "end"):
+            if code.word(at) == "LBL" and (at == 0 or code.tokens[at - 1].kind == "end"):
                 self.flow.note_jump(f"label {_number_at(self.code, at)}")
         self.flow.label("first")
         super().read()
 
     def _place(self, span: Span) -> str:
         """Name of the place of a motion: `P[1]`, `P[*]` where the number is computed, or `PR`."""
-        if self.code.tokens[span[0]].text == "PR":
+        if self.code.word(span[0]) == "PR":
             return "PR"
         number = self.code.tokens[span[0] + 2]
         plain = span[1] == span[0] + 4 and (number.kind == "number" or ":" in number.text)
@@ -177,19 +179,18 @@ class FanucReader(Reader):
         names = set()
         for at in self.code.names(first, stop):
             if self.code.is_mark(at + 1, "["):
-                whole = self.code.tokens[at].text == "P"
-                names.add(self._place((at, self.code.partner[at + 1] + 1)) if whole else self.code.tokens[at].text)
+                whole = self.code.word(at) == "P"
+                names.add(self._place((at, self.code.partner[at + 1] + 1)) if whole else self.code.word(at))
         return names
 
-    def decide(self, first: int, stop: int) -> None:
-        """Record that the program's path depends on these words."""
-        self.uses.decide(self.names(first, stop), self.code.line(first))
+    def expression(self, first: int, stop: int) -> None:
+        """Do nothing: expressions have no calls."""
 
     def statement(self, at: int, stop: int) -> None:
         """Process an instruction that follows its conditions."""
         code, opened = self.code, 0
         comma = code.find_mark(at, stop, ",")
-        while comma < stop and code.tokens[at].text in ("IF", "SELECT", "=", "ELSE"):
+        while comma < stop and code.word(at) in ("IF", "SELECT", "=", "ELSE"):
             self.decide(at, comma)
             self.branch(at, comma)
             at, opened = comma + 1, opened + 1
@@ -200,11 +201,11 @@ class FanucReader(Reader):
             self.close_block()
 
     def _action(self, at: int, stop: int) -> None:
-        code, word = self.code, self.code.tokens[at].text
+        code, word = self.code, self.code.word(at)
         equals = code.find_mark(at, stop, "=")
-        if word in ("J", "L", "C", "A", "S") and code.tokens[at + 1].text in ("P", "PR") and code.is_mark(at + 2, "["):
+        if word in ("J", "L", "C", "A", "S") and code.word(at + 1) in ("P", "PR") and code.is_mark(at + 2, "["):
             self._motion(at, stop)
-        elif word == "IF" and code.tokens[stop - 1].text == "THEN":
+        elif word == "IF" and code.word(stop - 1) == "THEN":
             self.act(at, [self.condition, self.branch])
         elif word == "FOR":
             self.act(at, [self.condition, self.count, self.repeat, self.pass_over])
@@ -225,11 +226,11 @@ class FanucReader(Reader):
             self.decide(at, stop)
             called = at + 1 if word == "CALL" else at
             known = self.given if word == "CALL" else self.harmless
-            if code.tokens[called].text not in known and not code.is_mark(at, "-"):
+            if code.word(called) not in known and not code.is_mark(at, "-"):
                 self.call_elsewhere(code.excerpt(called, called + 1), code.line(at))
 
     def _assignment(self, at: int, stop: int, equals: int) -> None:
-        code, word = self.code, self.code.tokens[at].text
+        code, word = self.code, self.code.word(at)
         names, value = self.names(at + 1, stop), code.excerpt(equals + 1, stop)
         positions = {name for name in names if name.startswith("P[")}
         if word in _NUMBERED:
@@ -237,11 +238,11 @@ class FanucReader(Reader):
             self.flow.note_setting(word, value if plain else Unknown(f"is computed in line {code.line(at)}"))
         elif word in ("UFRAME", "UTOOL"):
             plain = code.partner[at + 1] == at + 3 and code.tokens[at + 2].kind == "number"
-            key = f"{word}[{code.tokens[at + 2].text}]" if plain else word
+            key = f"{word}[{code.word(at + 2)}]" if plain else word
             self.flow.note_setting(key, Unknown(f"is set while the program runs (line {code.line(at)})"))
         elif word == "P":
             self.uses.note_change(self._place((at, code.partner[at + 1] + 1 if code.is_mark(at + 1, "[") else at + 1)))
-        elif word == "PR" and not (code.tokens[equals + 1].text == "P" and code.partner[equals + 2] + 1 == stop):
+        elif word == "PR" and not (code.word(equals + 1) == "P" and code.partner[equals + 2] + 1 == stop):
             self.uses.compute("PR", names - positions)
             self.uses.decide(positions, code.line(at))
         elif word in self.harmless or word == "PR":
@@ -253,29 +254,25 @@ class FanucReader(Reader):
     def _motion(self, at: int, stop: int) -> None:
         """Process a motion, and routines called while the robot moves."""
         code, places, first = self.code, list[Span](), at + 1
-        while first < stop and code.tokens[first].text in ("P", "PR") and code.is_mark(first + 1, "["):
+        while first < stop and code.word(first) in ("P", "PR") and code.is_mark(first + 1, "["):
             places.append((first, code.partner[first + 1] + 1))
             first = code.partner[first + 1] + 1
-        self.flow.move(code.tokens[at].start, lambda state: self._targets(places, (first, stop), state))
+        self.flow.move(at, lambda state: self._targets(places, (first, stop), state))
         for left, right in code.split(first, stop):
             equals = code.find_mark(left, right, "=")
             if equals < right:
                 self.run_at_any_time(left, lambda at=left, end=right, k=equals: self._assignment(at, end, k))  # type: ignore[misc]
         for k in code.names(first, stop):
-            if code.tokens[k - 1].text == "CALL" and code.tokens[k].text not in self.given:
+            if code.word(k - 1) == "CALL" and code.word(k) not in self.given:
                 shown, line = code.excerpt(k, k + 1), code.line(k)
                 self.run_at_any_time(k, lambda shown=shown, line=line: self.call_elsewhere(shown, line))  # type: ignore[misc]
 
     # targets
 
     def _targets(self, places: list[Span], options: Span, state: State | None) -> None:
-        changed = next((k for k in self.code.names(*options) if self.code.tokens[k].text in _CHANGED), None)
-        self.go(
-            places,
-            state,
-            lambda span: self._position(span, options, changed),
-            lambda position, state: self._target(position, state, changed),
-        )
+        changed = next((k for k in self.code.names(*options) if self.code.word(k) in _CHANGED), None)
+        find = partial(self._position, options=options, changed=changed)
+        self.go(places, state, find, partial(self._target, changed=changed))
 
     def _position(self, span: Span, options: Span, changed: int | None) -> _FanucPosition:
         name = self._place(span)
@@ -285,40 +282,33 @@ class FanucReader(Reader):
             raise LeftOutError("is computed at run time")
         if name[2:-1] not in self.positions:
             raise DataError(f"{self.code.location(span[0])}: {name} is not in /POS; save the program again")
-        if changed is not None and self.code.tokens[changed].text != "INC":  # others move along with the position
+        if changed is not None and self.code.word(changed) != "INC":  # others move along with the position
             raise LeftOutError(f"is computed at run time ({self.code.excerpt(changed, changed + 1)})")
-        self._require_known(options)
+        for at in self.code.names(*options):
+            known = self.code.word(at).rstrip("0123456789") in _OPTIONS
+            if not known and self.code.word(at - 1) != "CALL":
+                raise LeftOutError(f"has an option that is not known here ({self.code.excerpt(at, at + 1)})")
         return self.positions[name[2:-1]]
 
-    def _require_known(self, options: Span) -> None:
-        for at in self.code.names(*options):
-            known = self.code.tokens[at].text.rstrip("0123456789") in FANUC_OPTIONS | {*_CHANGED}
-            if not known and self.code.tokens[at - 1].text != "CALL":
-                raise LeftOutError(f"has an option that is not known here ({self.code.excerpt(at, at + 1)})")
-
-    def _target(self, position: _FanucPosition, state: State, changed: int | None) -> Reached:
-        why = self.uses.why_not(position.name) or self.uses.why_not("P[*]")
+    def _target(self, position: _FanucPosition, state: State, changed: int | None) -> ProgramTarget:
         if changed is not None:
-            why = "is computed at run time (INC)"
-        if why:
+            raise LeftOutError("is computed at run time (INC)")
+        if why := self.uses.why_not(position.name) or self.uses.why_not("P[*]"):
             raise LeftOutError(why)
         target = position.target()
         if target.rotation is None:
-            return target, ()
-        frame = self._frame("UFRAME", position.statements["UF"], state)
-        tool = self._frame("UTOOL", position.statements["UT"], state)
-        return replace(target, frame=frame.pose, tool=tool.pose), ()
+            return target
+        frame = self._frame("UFRAME", "user frame", position.statements["UF"], state)
+        return replace(target, frame=frame, tool=self._frame("UTOOL", "tool", position.statements["UT"], state))
 
-    def _frame(self, kind: str, number: str, state: State) -> Frame:
-        what = "user frame" if kind == "UFRAME" else "tool"
-        chosen = state[f"{kind}_NUM"]
+    def _frame(self, kind: str, what: str, number: str, state: State) -> Frame:
+        name, chosen = f"{kind}[{number}]", state[f"{kind}_NUM"]
         if isinstance(chosen, Unknown):
             raise LeftOutError(f"which {what} is selected {chosen.why}")
         if chosen not in ("", number):
             raise LeftOutError(f"belongs to {what} {number}, but {what} {chosen} is selected here")
         if number == "0":
-            return Frame()
-        name = f"{kind}[{number}]"
+            return ITSELF
         frame = self.frames.get(name)
         if frame is None:
             given = f"is not known; give {name} with --frames"

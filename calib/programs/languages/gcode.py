@@ -98,7 +98,7 @@ class _GcodeReader:
     shifted: str = ""
 
     def __post_init__(self) -> None:
-        self.position = [None] * 3 if self.home is None else list(self.home)
+        self.position = [*(self.home or (None, None, None))]
 
     def read(self, number: int, text: str) -> None:
         """Process a line."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.core.base.errors import InputError
-from calib.programs.languages.harmless import LISTS
+from calib.programs.languages.tokens import word_list
 
 
 def parse_words(text: str) -> frozenset[str]:
@@ -26,7 +26,7 @@ def parse_words(text: str) -> frozenset[str]:
 
 
 def _listed(name: str) -> frozenset[str]:
-    return parse_words(" ".join(LISTS[name]))
+    return parse_words(" ".join(word_list(name)))
 
 
 @dataclass(frozen=True)

@@ -125,5 +125,5 @@ class GcodeProgram:
 
 def _format_number(number: float, decimals: int) -> str:
     """A number with at most `decimals` decimals and no exponent."""
-    text = f"{number:.{decimals}f}".rstrip("0").rstrip(".") if decimals else f"{number:.0f}"
-    return "0" if text in ("-0", "") else text
+    text = f"{number:.{decimals}f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text

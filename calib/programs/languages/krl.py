@@ -21,18 +21,19 @@ from typing import ClassVar
 
 import numpy as np
 
+from calib.programs.languages import tokens
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.harmless import BAS_FORMS, BAS_HARMLESS, KRL
-from calib.programs.languages.reader import NO_VALUE, Data, Frame, Frames, Reached, Reader, as_selected_frame
-from calib.programs.languages.robot_program import Configuration, LeftOutError, pose_of
-from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_pattern
+from calib.programs.languages.reader import NO_VALUE, Data, Frames, Reader, as_selected_frame
+from calib.programs.languages.robot_program import ITSELF, Configuration, Frame, LeftOutError, ProgramTarget
+from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_list
 
 SUFFIXES = (".src",)
 _SELECTED = ("$TOOL", "$BASE", "$IPO_MODE")
-_WORDS = word_pattern(
+_WORDS = tokens.word_pattern(
     r"[;&][^\n]*", r"[$#]?[^\W\d][\w$]*", r"[=<>]=|<>|[-+*/()\[\]{}=<>,.:!?^%@~|]", r"\"[^\"\n]*\"|'[^'\n]*'"
 )
 _BITS = re.compile(r"'(?:B(?P<binary>[01]+)|H(?P<hexadecimal>[\dA-F]+))'", re.IGNORECASE)
+_BAS_HARMLESS, _BAS_FORMS = word_list("BAS"), word_list("BAS FORMS")
 _POSE = ("X", "Y", "Z", "A", "B", "C")
 _LISTS = ("TOOL_DATA", "BASE_DATA")
 _NULL = ("$NULLFRAME", "TOOL_DATA[0]", "BASE_DATA[0]")
@@ -57,7 +58,7 @@ class KrlReader(Reader):
     Frames are those that the files do not set, such as `TOOL_DATA[1]`; names are in capitals.
     """
 
-    language, danger = "KRL", "set a tool, base or frame"
+    language, known, danger = "KRL", word_list("KRL"), "set a tool, base or frame"
     ROUTINES = "DEF DEFFCT"
     WORDS: ClassVar = {
         "begin": ROUTINES,
@@ -94,13 +95,13 @@ class KrlReader(Reader):
         }
         start |= {"$IPO_MODE": "#BASE", "FDAT_ACT": Unknown("no FDAT_ACT before it", whole=True), "DATA": ""}
         code = codes[0]
-        assigned = {code.tokens[at].text for at in code.names(1, len(code.tokens)) if code.is_mark(at - 1, "=")}
+        assigned = {code.word(at) for at in code.names(1) if code.is_mark(at - 1, "=")}
         self._selecting = assigned | {*start, *_LISTS}
-        super().__init__(codes, start, frames, KRL | set(harmless))
+        super().__init__(codes, start, frames, harmless)
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return the name of a parameter, and whether it is a reference."""
-        return [self.code.tokens[span[0]].text], self.code.tokens[span[1] - 1].text != "IN"
+        return [self.code.word(span[0])], self.code.word(span[1] - 1) != "IN"
 
     def read(self, at: int = 0) -> None:
         """Read the declarations of the other files, and all statements of the first."""
@@ -113,7 +114,7 @@ class KrlReader(Reader):
         code, at = self.codes[file], 0
         while at < len(code.tokens):
             stop = code.line_end(at)
-            if stop > at and code.tokens[at].text not in _NO_STATEMENTS.split():
+            if stop > at and code.word(at) not in _NO_STATEMENTS.split():
                 self._declaration(file, at, stop)
             at = stop + 1
 
@@ -125,10 +126,8 @@ class KrlReader(Reader):
 
     def modified(self, at: int, _: int) -> int:
         """Process a statement that begins with DECL, GLOBAL, CONST or PUBLIC."""
-        first = at
-        while self.code.tokens[first].text in _MODIFIERS:
-            first += 1
-        if self.code.tokens[first].text in self.words:
+        first = _behind_modifiers(self.code, at)
+        if self.code.word(first) in self.words:
             return first
         stop = self.code.line_end(at)
         self._declaration(0, at, stop)
@@ -149,12 +148,10 @@ class KrlReader(Reader):
 
     def _declaration(self, file: int, at: int, stop: int) -> None:
         """Process a line that declares data or gives them their first values."""
-        code, first = self.codes[file], at
-        while code.tokens[first].text in _MODIFIERS:
-            first += 1
-        shared = any(code.tokens[k].text == "GLOBAL" for k in range(at, first))
+        code, first = self.codes[file], _behind_modifiers(self.codes[file], at)
+        shared = any(code.word(k) == "GLOBAL" for k in range(at, first))
         typed = first + 1 < stop and code.tokens[first + 1].kind == "name"
-        kind = code.tokens[first].text if typed else ""
+        kind = code.word(first) if typed else ""
         for left, right in code.split(first + typed, stop):
             equals = code.find_mark(left, right, "=")
             if equals + 1 >= right:
@@ -163,15 +160,14 @@ class KrlReader(Reader):
                 shown = self.sources[file].text[code.tokens[left].start : code.tokens[equals - 1].end]
                 self.declare(code.text(left, equals), Data(shown, file, (equals + 1, right), kind, shared))
             else:
-                self.uses.note_change(code.tokens[left].text, "is not declared as plain numbers")
+                self.uses.note_change(code.word(left), "is not declared as plain numbers")
             if file == 0:
                 self.expression(equals + 1, right)
-            names = {code.tokens[k].text for k in code.names(equals + 1, right)}
-            self.uses.compute(code.tokens[left].text, names)
+            self.uses.compute(code.word(left), {code.word(k) for k in code.names(equals + 1, right)})
 
     def statement(self, at: int, stop: int) -> None:
         """Process an assignment, a call, a motion or a declaration."""
-        code, word = self.code, self.code.tokens[at].text
+        code, word = self.code, self.code.word(at)
         equals = code.find_mark(at, stop, "=")
         is_name, after = code.tokens[at].kind == "name", code.tokens[at + 1]
         if word.removesuffix("_REL") in _MOVES and after.text not in ("=", "[", ".", "("):
@@ -181,7 +177,7 @@ class KrlReader(Reader):
             self.uses.note_change(word)
             self._select_assigned(at, stop, equals)
         elif word in ("ANIN", "DIGIN") and equals < stop:  # sets a variable repeatedly while the robot moves
-            self.run_at_any_time(at, lambda: self.change(code.tokens[at + 2].text))
+            self.run_at_any_time(at, lambda: self.change(code.word(at + 2)))
         elif word in self.harmless or (is_name and after.text == "(" and code.partner[at + 1] + 1 == stop):
             self.expression(at, stop)
         elif is_name and stop > at + 1 and after.kind == "name" and word != "ASYPTP":
@@ -197,7 +193,7 @@ class KrlReader(Reader):
         if end < stop:
             self._save("of the motion")
             self._read_with_clause(end, stop)
-        self.flow.move(self.code.tokens[at].start, lambda state: self._targets(at, end, state))
+        self.flow.move(at, lambda state: self._targets(at, end, state))
         if end < stop:
             self._restore("of the motion")
 
@@ -205,7 +201,7 @@ class KrlReader(Reader):
 
     def _word(self, first: int, *words: str) -> int:
         """Return the index of the first of these words in the rest of the line, or of the line's end."""
-        while self.code.tokens[first].kind != "end" and self.code.tokens[first].text not in words:
+        while self.code.tokens[first].kind != "end" and self.code.word(first) not in words:
             first = self.code.partner[first] + 1
         return first
 
@@ -221,9 +217,9 @@ class KrlReader(Reader):
         components = dict[str, Span]()
         for start, end in code.split(left, right):
             number = code.number(start + 1, end) or _bits(code, start, end)
-            if number is None or code.tokens[start].kind != "name" or code.tokens[start].text in components:
+            if number is None or code.tokens[start].kind != "name" or code.word(start) in components:
                 return None
-            components[code.tokens[start].text] = number
+            components[code.word(start)] = number
         return components
 
     def _cells(self, data: Data, names: Sequence[str]) -> tuple[Number, ...]:
@@ -231,21 +227,16 @@ class KrlReader(Reader):
         units = [MILLIMETRE if name in "XYZ" else DEGREE for name in names]
         return self.sources[data.file].numbers([components[name] for name in names], units)
 
-    def _pose_cells(self, data: Data) -> tuple[Number, ...] | None:
-        """Return the numbers of a pose; None unless they are six plain numbers."""
-        return self._cells(data, _POSE) if set(_POSE) <= set(self._components(data) or {}) else None
-
     # tools and bases
 
-    def _frame_of(self, data: Data) -> Frame | None:
-        cells = self._pose_cells(data)
-        if cells is None:
-            return None
-        return Frame(pose_of([cell.value for cell in cells], "zyx"), (data.place,) if data.name else ())
+    def _constant(self, data: Data) -> Frame | None:
+        """The frame that data define; None unless they are six plain numbers."""
+        is_pose = set(_POSE) <= set(self._components(data) or {})
+        return self.frame_of(data, self._cells(data, _POSE), "zyx") if is_pose else None
 
     def _frame(self, span: Span, state: State) -> Frame | Unknown:
         if self.code.bracket_content(*span, "{"):
-            return self._frame_of(Data("", 0, span)) or Unknown("is not six plain numbers")
+            return self._constant(Data("", 0, span)) or Unknown("is not six plain numbers")
         return self.frame_named(self.code.text(*span), state)
 
     def frame_named(self, name: str, state: State) -> Frame | Unknown:
@@ -253,14 +244,14 @@ class KrlReader(Reader):
         shown, base = name if "[" in name else name.lower(), name.partition("[")[0]
         value, data = state.get(name), self.declared.get(name)
         if name in _NULL:
-            return Frame()
+            return ITSELF
         if isinstance(value, (Frame, Unknown)):
             return value
         if base in _LISTS and isinstance(state["DATA"], Unknown):
             return Unknown(f"{name} {state['DATA'].why}", whole=True)
         given = self.frames.get(name)
         safe = base in _LISTS or not (self.uses.is_set(name) or (data and data.shared and self.foreign))
-        if data is not None and safe and (frame := self._frame_of(data)) is not None:
+        if data is not None and safe and (frame := self._constant(data)) is not None:
             return frame
         if data is not None and base in _LISTS:
             return Unknown(f"{name} is not six plain numbers", whole=True)
@@ -269,24 +260,24 @@ class KrlReader(Reader):
         return Unknown(f"{shown} is not known here; give $config.dat with --frames", whole=True)
 
     def _form(self, form: Hashable, state: State) -> dict[str, Hashable]:
+        """Return the selections of an inline form: one that is written out, or its name."""
         if isinstance(form, Unknown):
             return dict.fromkeys(_SELECTED, form)
-        name, members = form.name if isinstance(form, Data) else str(form), dict[str, str]()
+        name = form.name if isinstance(form, Data) else str(form)
         data = form if isinstance(form, Data) else self.declared.get(name)
+        members = dict[str, str]()
         if data is not None and data.kind == "FDAT":
             code = self.codes[data.file]
-            for first, stop in code.split(data.span[0] + 1, data.span[1] - 1):
-                members[code.tokens[first].text] = code.text(first + 1, stop)
+            parts = code.split(data.span[0] + 1, data.span[1] - 1)
+            members = {code.word(first): code.text(first + 1, stop) for first, stop in parts}
         if data is None or self.uses.is_set(name):
             why = f"{name} is {'not declared here' if data is None else 'set while the program runs'}"
-            return dict.fromkeys(_SELECTED, Unknown(why, whole=True))
-        if not {"TOOL_NO", "BASE_NO"} <= set(members):
-            return dict.fromkeys(
-                _SELECTED, Unknown(f"{name or 'FDAT_ACT'} does not say TOOL_NO and BASE_NO", whole=True)
-            )
-        tool = self.frame_named(f"TOOL_DATA[{members['TOOL_NO']}]", state)
-        base = self.frame_named(f"BASE_DATA[{members['BASE_NO']}]", state)
-        return dict(zip(_SELECTED, (tool, base, members.get("IPO_FRAME", "#BASE")), strict=True))
+        elif not {"TOOL_NO", "BASE_NO"} <= set(members):
+            why = f"{name or 'FDAT_ACT'} does not say TOOL_NO and BASE_NO"
+        else:
+            tool, base = (self.frame_named(f"{kind}_DATA[{members[f'{kind}_NO']}]", state) for kind in ("TOOL", "BASE"))
+            return dict(zip(_SELECTED, (tool, base, members.get("IPO_FRAME", "#BASE")), strict=True))
+        return dict.fromkeys(_SELECTED, Unknown(why, whole=True))
 
     def change(self, name: str, why: str = "is set while the program runs") -> None:
         """Process a change of data, or of a frame."""
@@ -299,14 +290,13 @@ class KrlReader(Reader):
             self.flow.change([name], lambda state: {**state, name: value(state) if value else Unknown(why)})
 
     def _select_assigned(self, at: int, stop: int, equals: int) -> None:
-        code, word, line = self.code, self.code.tokens[at].text, self.code.line(at)
+        code, word, line = self.code, self.code.word(at), self.code.line(at)
         number = code.number(at + 2, equals - 1) if code.is_mark(at + 1, "[") and equals > at + 3 else None
         whole = code.partner[at + 1] + 1 if number else at + 1  # after the element of an array
         in_part = f"is set in part (line {line})"
         if word in ("$IPO_MODE", "FDAT_ACT"):
-            value: Hashable = code.text(equals + 1, stop)
-            if code.bracket_content(equals + 1, stop, "{"):
-                value = Data("", 0, (equals + 1, stop), "FDAT")
+            is_form = code.bracket_content(equals + 1, stop, "{")
+            value = Data("", 0, (equals + 1, stop), "FDAT") if is_form else code.text(equals + 1, stop)
             self._select(word, (lambda _: value) if equals == at + 1 else None, in_part)
         elif word.startswith("$") and word not in _SELECTED:
             if word not in self.harmless:
@@ -320,20 +310,20 @@ class KrlReader(Reader):
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
         """Process a call of BAS, which selects tool and base; return whether the call is known."""
-        name, code = self.code.tokens[at].text, self.code
+        name, code = self.code.word(at), self.code
         if name != "BAS":
             return name in self.harmless
         given = code.split(*span)
-        what = code.tokens[given[0][0]].text if given else ""
+        what = code.word(given[0][0]) if given else ""
         if what in ("#TOOL", "#BASE") and len(given) == 2 and not maybe:
             frame = f"{what[1:]}_DATA[{code.text(*given[1])}]"
             self._select(f"${what[1:]}", lambda state: self.frame_named(frame, state))
-        elif what in BAS_FORMS and not maybe:
+        elif what in _BAS_FORMS and not maybe:
             self.flow.change(_SELECTED, lambda state: {**state, **self._form(state["FDAT_ACT"], state)})
         elif what == "#INITMOV" and not maybe:
             self.flow.mark_unknown(f"is not selected after {code.excerpt(at, span[1] + 1)}", _SELECTED[:2])
             self.flow.note_setting("$IPO_MODE", "#BASE")
-        elif what not in BAS_HARMLESS:
+        elif what not in _BAS_HARMLESS:
             self.flow.mark_unknown(f"is not selected after {code.excerpt(at, span[1] + 1)}", _SELECTED)
         return True
 
@@ -365,26 +355,24 @@ class KrlReader(Reader):
         """Process the selections of one motion or spline, after WITH."""
         code = self.code
         for left, right in code.split(first + 1, stop):
-            name, line = code.tokens[left].text, code.line(left)
+            name, line = code.word(left), code.line(left)
             if name not in _SELECTED:
                 if name not in self.harmless and name != "$NULLFRAME":
                     self.flow.mark_unknown(f"is not known where {name} is set (line {line})")
             elif code.text(left + 2, left + 4) in ("STOOL(", "STOOL2(", "SBASE(", "SIPO_MODE("):
-                self.flow.change([name], self._with_form(name, code.tokens[left + 4].text))
+                form = code.word(left + 4)
+                self._select(name, lambda state, name=name, form=form: self._form(form, state)[name])  # type: ignore[misc]
             elif code.is_mark(left + 1, "="):
                 self._select_assigned(left, right, left + 1)
             else:
                 self._select(name, None, f"is set in part (line {line})")
 
-    def _with_form(self, name: str, form: str) -> Callable[[State], State]:
-        return lambda state: {**state, name: self._form(form, state)[name]}
-
     # targets
 
     def _targets(self, at: int, stop: int, state: State | None) -> None:
-        code, (base, _, relative), spans = self.code, self.code.tokens[at].text.partition("_"), list[Span]()
+        code, (base, _, relative), spans = self.code, self.code.word(at).partition("_"), list[Span]()
         for first, last in code.split(at + 1, stop)[: 2 if base.endswith("CIRC") else 1]:
-            spans.append((first, next((k for k in range(first, last) if code.tokens[k].text.startswith("C_")), last)))
+            spans.append((first, next((k for k in range(first, last) if code.word(k).startswith("C_")), last)))
         self.go(spans, state, lambda span: self._data(span, bool(relative)), self._target)
 
     def _data(self, span: Span, relative: bool) -> Data:
@@ -393,12 +381,12 @@ class KrlReader(Reader):
             raise LeftOutError("is relative to where the robot is")
         data = Data("", 0, span) if code.bracket_content(*span, "{") else self.declared.get(name)
         if data is None:
-            single = span[1] == span[0] + 1 and code.tokens[span[0]].kind == "name" and not name.startswith("$")
-            otherwise = "is not declared here" if single else "is computed at run time"
+            declarable = code.name(*span) and not name.startswith("$")
+            otherwise = "is not declared here" if declarable else "is computed at run time"
             raise LeftOutError(self.uses.why_not(name) or otherwise)
         return data
 
-    def _target(self, data: Data, state: State) -> Reached:
+    def _target(self, data: Data, state: State) -> ProgramTarget:
         self.require_constant(data)
         components = self._components(data)
         if components is None:
@@ -409,25 +397,27 @@ class KrlReader(Reader):
             raise LeftOutError("moves external axes, which the description does not have")
         if set(_AXES) <= set(numbers):
             return self.target(data, self._cells(data, _AXES))
-        cells = self._pose_cells(data)
-        if cells is None:
+        if not set(_POSE) <= set(numbers):
             raise LeftOutError("gives only a part of a position; the rest depends on where the robot is")
+        cells = self._cells(data, _POSE)
         tool, base = (as_selected_frame(key, state[key]) for key in _SELECTED[:2])
-        mode = state["$IPO_MODE"]
-        if mode != "#BASE":
-            raise LeftOutError(
-                "the tool is not on the robot" if mode == "#TCP" else "it is not known whether the tool is on the robot"
-            )
+        if (mode := state["$IPO_MODE"]) != "#BASE":
+            off = "the tool is not on the robot"
+            raise LeftOutError(off if mode == "#TCP" else "it is not known whether the tool is on the robot")
         return self.target(data, cells, "zyx", base, tool, _configuration(numbers))
+
+
+def _behind_modifiers(code: ProgramWords, at: int) -> int:
+    while code.word(at) in _MODIFIERS:
+        at += 1
+    return at
 
 
 def _bits(code: ProgramWords, start: int, end: int) -> Span | None:
     """The span in the text of S or T as bits, such as `'B010'`."""
-    _, _, first, last = code.tokens[end - 1]
-    is_written = (
-        end == start + 2 and code.tokens[start].text in ("S", "T") and _BITS.fullmatch(code.tokens[end - 1].text)
-    )
-    return (first, last) if is_written else None
+    _, text, *span = code.tokens[end - 1]
+    is_written = end == start + 2 and code.word(start) in ("S", "T") and _BITS.fullmatch(text)
+    return (span[0], span[1]) if is_written else None
 
 
 def _value(text: str) -> float:
@@ -446,6 +436,6 @@ def _configuration(numbers: Mapping[str, float]) -> Configuration | None:
     if "T" in numbers:
         turns = int(numbers["T"])
         ranges = {k: (-np.inf, 0.0) if turns >> k & 1 else (0.0, np.inf) for k in range(6)}
-    status = int(numbers["S"]) if "S" in numbers else None
-    behind, elbow_bent = (None, None) if status is None else (bool(status & 1), bool(status & 2))
-    return Configuration(text, ranges, behind=behind, elbow_bent=elbow_bent)
+    if "S" not in numbers:
+        return Configuration(text, ranges)
+    return Configuration(text, ranges, (bool(int(numbers["S"]) & 1), None, None, bool(int(numbers["S"]) & 2)))

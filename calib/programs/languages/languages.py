@@ -8,8 +8,8 @@ from pathlib import Path
 from calib.core.base.errors import InputError
 from calib.programs.languages import fanuc, krl, rapid, urscript
 from calib.programs.languages.control_flow import Unknown
-from calib.programs.languages.reader import Frame, Frames, Reader, read_frames
-from calib.programs.languages.robot_program import RobotProgram
+from calib.programs.languages.reader import Frames, Reader, read_frames
+from calib.programs.languages.robot_program import Frame, RobotProgram
 
 _READERS: dict[str, Callable[[Path | str, Frames, Collection[str]], Reader]] = {
     **dict.fromkeys(urscript.SUFFIXES, urscript.UrscriptReader),

@@ -11,8 +11,6 @@ the origin of axis 5. If the wrist axes of an arm do not meet, the side can be w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pinocchio as pin
 
@@ -20,7 +18,7 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import InputError, nearest
 from calib.core.robots.joint_sampling import joint_samples
 from calib.core.robots.robot import Robot
-from calib.programs.languages.robot_program import Configuration
+from calib.programs.languages.robot_program import NO_SIDES, Configuration, FourSides
 from calib.programs.reaching.goals import Goals
 from calib.programs.reaching.inverse import problem
 from calib.programs.reaching.reaching import GoalConfigurations, descend
@@ -45,19 +43,17 @@ class NominalCell:
     """
 
     def __init__(self, robot: Robot, base: str | None = None, flange: str | None = None) -> None:
-        self.robot, description, n = robot, robot.description, len(robot.home)
-        self._lower, self._upper = (limit[:n] for limit in robot.urdf.limits(robot.mechanism.driven))
-        links = [*robot.urdf.links]
-        target = description.targets[robot.mechanism.moved_targets[0].name].frame
-        self.base = self._link(base, "base", description.base.frame, links)
-        self.flange = self._link(flange, "tool0", target, links)
+        self.robot, description, target = robot, robot.description, robot.mechanism.moved_targets[0].name
+        self._lower, self._upper = (limit[: len(robot.home)] for limit in robot.urdf.limits(robot.mechanism.driven))
+        self.base = self._link(base, "base", description.base.frame)
+        self.flange = self._link(flange, "tool0", description.targets[target].frame)
         probes = np.array([robot.home, *self._probes(3)])
         probes = probes[robot.close(probes).ok]
         bases, flanges = (np.asarray(robot.forward(probes, link)) for link in (self.base, self.flange))
         between = np.linalg.inv(flanges) @ robot.forward(probes)
         for link, seen, what, option in (
             (self.base, bases, "the description's base", "--base-link"),
-            (self.flange, between, f"target '{robot.mechanism.moved_targets[0].name}'", "--flange-link"),
+            (self.flange, between, f"target '{target}'", "--flange-link"),
         ):
             if np.max(np.abs(seen - seen[0])) > _ALIKE:
                 raise InputError(
@@ -65,7 +61,8 @@ class NominalCell:
                 )
         self._base_pose, self._target = pin.SE3(bases[0]), pin.SE3(between[0])
 
-    def _link(self, given: str | None, usual: str, otherwise: str, links: Sequence[str]) -> str:
+    def _link(self, given: str | None, usual: str, otherwise: str) -> str:
+        links = [*self.robot.urdf.links]
         if given is not None and given not in links:
             raise InputError(f"{self.robot.path}: no link '{given}'{nearest(given, links)}")
         return given or (usual if usual in links else otherwise)
@@ -140,15 +137,11 @@ class NominalCell:
 
     def distance_to_statement(self, q: FloatArray, says: Configuration, sides: Sides) -> float:
         """Return the distance of joints (n_actuated,) from a stated configuration [rad]; inf where a side differs."""
-        expected = (says.behind, says.elbow, says.flipped, says.elbow_bent)
-        if any(side is not None for side in expected) and any(
-            stated_side is not None and side not in (None, stated_side)
-            for side, stated_side in zip(sides.sides_at(q), expected, strict=True)
-        ):
+        pairs = zip(sides.sides_at(q), says.sides, strict=True) if says.sides != NO_SIDES else ()
+        if any(stated is not None and side not in (None, stated) for side, stated in pairs):
             return np.inf
-        return max(
-            (max(low - q[j], q[j] - high, 0.0) for j, (low, high) in says.ranges.items() if j < len(q)), default=0.0
-        )
+        off = (max(low - q[j], q[j] - high, 0.0) for j, (low, high) in says.ranges.items() if j < len(q))
+        return max(off, default=0.0)
 
 
 class Sides:
@@ -161,14 +154,13 @@ class Sides:
         self._known = len(self._joints) == 6 and not robot.mechanism.loops
         self._reference = self._measures(reference) if self._known else (np.zeros(3), 0.0, 0.0)
 
-    def sides_at(self, q: FloatArray) -> tuple[bool | None, bool | None, bool | None, bool | None]:
-        """Return whether wrist, elbow and joint 5 are on another side than in the reference, and joint 3 is bent.
+    def sides_at(self, q: FloatArray) -> FourSides:
+        """Return `Configuration.sides` at joints (n_actuated,) [m or rad].
 
-        None where undefined: for an arm that is no chain of six axes, and on the border of two sides. Joints q are
-        (n_actuated,) [m or rad].
+        None where undefined: for an arm that is no chain of six axes, and on the border of two sides.
         """
         if not self._known:
-            return None, None, None, None
+            return NO_SIDES
         out, line, wrist = self._measures(q)
         reference, reference_line, reference_wrist = self._reference
         products = (float(out @ reference), line * reference_line, wrist * reference_wrist, -line)

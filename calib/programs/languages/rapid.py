@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -22,18 +23,19 @@ import numpy as np
 import pinocchio as pin
 
 from calib.core.base.errors import DataError
+from calib.programs.languages import tokens
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.harmless import RAPID, RAPID_SETS
-from calib.programs.languages.reader import NO_VALUE, Data, Frame, Frames, Reached, Reader, as_selected_frame
-from calib.programs.languages.robot_program import Configuration, LeftOutError, pose_of
-from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_pattern
+from calib.programs.languages.reader import NO_VALUE, Data, Frames, Reader, as_selected_frame
+from calib.programs.languages.robot_program import ITSELF, Configuration, Frame, LeftOutError, ProgramTarget, pose_of
+from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_list
 
-_WORDS = word_pattern(r"![^\n]*", r"[^\W\d]\w*", r":=|<=|>=|<>|[-+*/()\[\]{}=<>,.:;\\?|%]")
+_WORDS = tokens.word_pattern(r"![^\n]*", r"[^\W\d]\w*", r":=|<=|>=|<>|[-+*/()\[\]{}=<>,.:;\\?|%]")
+_SETTING = word_list("RAPID SETS")  # routines that set some of their arguments and nothing else
 _SIZES = {"ROBTARGET": 4, "JOINTTARGET": 2, "TOOLDATA": 3, "WOBJDATA": 5}  # number of components by type
 _REFERENCES = ("INOUT", "PERS", "VAR", "REF")
 _TWO_TARGETS = re.compile(r"(MOVE|TRIGG|ARC|DISP|PAINT)C")
 _BY_NAME = ("SETDATAVAL", "SETALLDATAVAL", "GETDATAVAL")  # set or read data, even LOCAL ones, by a name in a text
-_FIXED = {"TOOL0": Frame(), "WOBJ0": Frame()}
+_FIXED = {"TOOL0": ITSELF, "WOBJ0": ITSELF}
 SUFFIXES = (".mod", ".modx", ".prg", ".sys")
 _OPERATORS = ("AND", "OR", "XOR", "NOT", "DIV", "MOD")
 _MOVE = re.compile(
@@ -73,7 +75,7 @@ def rapid_frames(path: Path | str) -> Frames:
 class RapidReader(Reader):
     """Reads a module; `frames` and `harmless` are names in capitals."""
 
-    language, assigning, danger = "RAPID", ":=", "change a mode of motion"
+    language, known, assigning, danger = "RAPID", word_list("RAPID"), ":=", "change a mode of motion"
     ROUTINES = "PROC FUNC"
     WORDS: ClassVar = {
         "begin": ROUTINES,
@@ -101,10 +103,9 @@ class RapidReader(Reader):
         source = ProgramSource.read(path, "a RAPID module")
         code = ProgramWords(source, _WORDS, lines="blank", ends=";:")
         start: State = {"PDISP": None, "EOFFS": None, "CONFL": True, "CONFJ": True}
-        super().__init__([code], start, {**_FIXED, **frames}, RAPID | set(harmless))
+        super().__init__([code], start, {**_FIXED, **frames}, harmless)
         self.sets_by_name = any(token.text in _BY_NAME for token in code.tokens)
-        traps = [at for at in code.names(0, len(code.tokens) - 2) if code.tokens[at].text == "TRAP"]
-        self.routines |= {code.tokens[at + 1].text: False for at in traps}
+        self.routines |= {code.word(at + 1): False for at in code.names() if code.word(at) == "TRAP"}
 
     def read(self, at: int = 0) -> None:
         """Read all statements after the header of a controller: %%% ... %%%."""
@@ -113,7 +114,7 @@ class RapidReader(Reader):
 
     def skip(self, at: int, behind: int) -> int:
         """Go on after a word; a semicolon ends one-statement branches (`IF c x := 1;`)."""
-        if self.code.tokens[at].text == ";":
+        if self.code.word(at) == ";":
             self._close_compact()
         return behind
 
@@ -134,17 +135,17 @@ class RapidReader(Reader):
     def record(self, at: int, _: int) -> int:
         """Go on after the declaration of a type."""
         end = len(self.code.tokens) - 1
-        return next((k for k in range(at, end) if self.code.tokens[k].text == "ENDRECORD"), end) + 1
+        return next((k for k in range(at, end) if self.code.word(k) == "ENDRECORD"), end) + 1
 
     def begin_trap(self, at: int, _: int) -> int:
         """Begin a routine that runs at an interrupt."""
-        self.flow.begin(self.code.tokens[at + 1].text, self.code.location(at), at_any_time=True)
+        self.flow.begin(self.code.word(at + 1), self.code.location(at), at_any_time=True)
         return at + 2
 
     def handle(self, at: int, _: int) -> int:
         """Begin an error handler, which runs at an error."""
         self.flow.jump("return")
-        name = f"{self.flow.routine} {self.code.tokens[at].text}"
+        name = f"{self.flow.routine} {self.code.word(at)}"
         self.flow.finish()
         self.flow.begin(name, self.code.location(at), at_any_time=True)
         return self.code.partner[at + 1] + 1 if self.code.is_mark(at + 1, "(") else at + 1
@@ -152,19 +153,19 @@ class RapidReader(Reader):
     def declaration(self, at: int, _: int) -> int:
         """Process a declaration of data."""
         code, stop = self.code, self.end(at + 1)
-        kind, name = code.tokens[at + 1].text, at + 2
-        local = (at > 0 and code.tokens[at - 1].text == "LOCAL") or bool(self.flow.routine)
+        kind, name = code.word(at + 1), at + 2
+        local = (at > 0 and code.word(at - 1) == "LOCAL") or bool(self.flow.routine)
         equals = code.find_mark(name, stop, ":=")
         if kind in _SIZES:
-            shared = self.sets_by_name or (code.tokens[at].text != "CONST" and not local)
+            shared = self.sets_by_name or (code.word(at) != "CONST" and not local)
             value = equals + 1, stop
-            shown, key = code.excerpt(name, name + 1), code.tokens[name].text
+            shown, key = code.excerpt(name, name + 1), code.word(name)
             if not code.is_mark(name + 1, "{"):
                 self.declare(key, Data(shown, 0, value if equals < stop else NO_VALUE, kind, shared))
             for k, span in enumerate(self._parts(value) if code.is_mark(name + 1, "{") else (), 1):
                 self.declare(f"{key}{{{k}}}", Data(f"{shown}{{{k}}}", 0, span, kind, shared))
         self.expression(equals + 1, stop)
-        self.uses.compute(code.tokens[name].text, self.names(equals + 1, stop))
+        self.uses.compute(code.word(name), self.names(equals + 1, stop))
         return stop
 
     def if_(self, at: int, _: int) -> int:
@@ -184,21 +185,21 @@ class RapidReader(Reader):
                 value = True
             stop += 1
         self.decide(at + 1, stop)
-        self.open_block("IF" if code.tokens[stop].text == "THEN" else "", code.line(at))
+        self.open_block("IF" if code.word(stop) == "THEN" else "", code.line(at))
         return self.pass_over(at, stop)
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
         """Process a call of a built-in routine, which may set its arguments; return whether the call is known."""
-        name = self.code.tokens[at].text
-        if name in RAPID_SETS:
+        name = self.code.word(at)
+        if name in _SETTING:
             self.note_arguments(span, f"is set by '{self.code.excerpt(at, at + 1)}'")
         if name == "WAITUNTIL":
             self.uses.decide(self.names(*span), self.code.line(at))
-        return name in RAPID_SETS or name in self.harmless
+        return name in _SETTING or name in self.harmless
 
     def statement(self, at: int, stop: int) -> None:
         """Process an assignment or an instruction."""
-        code, word = self.code, self.code.tokens[at].text
+        code, word = self.code, self.code.word(at)
         equals = code.find_mark(at, stop, ":=")
         if code.tokens[at].kind != "name":
             self.note_arguments((at, stop), "is an argument of a routine that is chosen at run time")
@@ -207,18 +208,17 @@ class RapidReader(Reader):
             self.assign(at, stop, equals)
             self.uses.note_change(word)
         elif word == "CONNECT":
-            self.uses.note_change(code.tokens[at + 1].text)
+            self.uses.note_change(code.word(at + 1))
         elif word in ("CONFL", "CONFJ"):
             self.flow.note_setting(word, "OFF" not in self.names(at + 1, stop))
-        elif word in _MODES:
-            self.expression(at + 1, stop)
-            self.flow.note_setting(*_MODES[word])
-        elif _MOVE.fullmatch(word) and stop > at + 1:
-            self.expression(at + 1, stop)
-            self._move(word, at, stop)
         else:
             self.expression(at + 1, stop)
-            self.call(at, (at + 1, stop))
+            if word in _MODES:
+                self.flow.note_setting(*_MODES[word])
+            elif _MOVE.fullmatch(word) and stop > at + 1:
+                self._move(word, at, stop)
+            else:
+                self.call(at, (at + 1, stop))
 
     def _move(self, word: str, at: int, stop: int) -> None:
         """Process a motion: arguments between commas, and options after backslashes."""
@@ -229,7 +229,7 @@ class RapidReader(Reader):
                 spans.append((first, end))
             for left, right in code.split(end + 1, last, "\\"):
                 behind = left + 2 if code.is_mark(left + 1, ":=", "?") else left + 1
-                options[code.tokens[left].text] = (behind, right)
+                options[code.word(left)] = (behind, right)
                 if behind == left + 1 and right > behind:
                     spans.append((behind, right))
         if word.startswith("SEARCH"):
@@ -238,11 +238,11 @@ class RapidReader(Reader):
         for k in range(at, stop) if word.endswith("SYNC") else ():
             if code.tokens[k].kind == "text":
                 self.run_at_any_time(k, lambda k=k: self._call_named(k))  # type: ignore[misc]
-        self.flow.move(code.tokens[at].start, lambda state: self._targets(word, spans, options, state))
+        self.flow.move(at, lambda state: self._targets(word, spans, options, state))
 
     def _call_named(self, at: int) -> None:
         """Process a call of a routine whose name is given as text."""
-        name = self.code.tokens[at].text.strip('"').upper()
+        name = self.code.word(at).strip('"').upper()
         if name in self.routines:
             self.flow.call(name)
         elif name not in self.harmless:
@@ -251,9 +251,7 @@ class RapidReader(Reader):
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return the names of a parameter, and whether it is a reference."""
         names = [
-            self.code.tokens[k].text
-            for k in self.code.names(*span)
-            if self.code.is_mark(k + 1, ",", ")", "\\", "|", "{")
+            self.code.word(k) for k in self.code.names(*span) if self.code.is_mark(k + 1, ",", ")", "\\", "|", "{")
         ]
         return names, bool(self.names(*span) & {*_REFERENCES})
 
@@ -262,14 +260,15 @@ class RapidReader(Reader):
         return self.code.split(*inside) if inside else []
 
     def _numbers(self, span: Span, count: int, what: str) -> list[tuple[int, int]]:
-        spans = self._parts(span)
-        numbers = [self.code.number(*part) for part in spans]
-        for number, part in zip(numbers, spans, strict=True):
+        numbers = []
+        for part in self._parts(span):
+            number = self.code.number(*part)
             if number is None:
                 raise LeftOutError(f"'{self.code.excerpt(*part)}' is not a plain number")
-        if len(spans) != count:
-            raise DataError(f"{self.code.location(span[0])}: {what} has {len(spans)} numbers; expected {count}")
-        return [number for number in numbers if number is not None]
+            numbers.append(number)
+        if len(numbers) != count:
+            raise DataError(f"{self.code.location(span[0])}: {what} has {len(numbers)} numbers; expected {count}")
+        return numbers
 
     def _values(self, span: Span, count: int, what: str) -> list[float]:
         return [float(self.sources[0].text[slice(*place)]) for place in self._numbers(span, count, what)]
@@ -293,7 +292,7 @@ class RapidReader(Reader):
     def frame(self, data: Data) -> Frame:
         """Return a tool or work object as a frame, or raise `LeftOutError`."""
         parts = self._complete(data)
-        texts = [self.code.tokens[start].text for start, _ in parts]
+        texts = [self.code.word(start) for start, _ in parts]
         if data.kind == "TOOLDATA" and texts[0] != "TRUE":
             raise LeftOutError(f"tool '{data.name}' is not on the robot")
         if data.kind == "WOBJDATA" and texts[0] != "FALSE":
@@ -308,29 +307,17 @@ class RapidReader(Reader):
             raise LeftOutError(f"'{data.name}' is not constant: {why}") from None
         return Frame(poses[0] if data.kind == "TOOLDATA" else poses[0] * poses[1])
 
-    def _is_frame(self, name: str, kind: str) -> bool:
-        """Whether the name belongs to a tool or work object, by `kind`."""
-        return self.declared[name].kind == kind if name in self.declared else name in self.frames
+    def _frame_in(self, spans: Sequence[Span], kind: str, what: str, usual: Sequence[Span]) -> Frame:
+        """The last tool or work object in spans, or `LeftOutError` if none is declared, or the program may set it.
 
-    def _tool(self, word: str, spans: Sequence[Span]) -> Frame:
-        known = [name for name in (self.code.text(*span) for span in spans) if self._is_frame(name, "TOOLDATA")]
+        It is expected in the spans `usual`, for messages.
+        """
+        names = [self.code.text(*span) for span in spans]
+        known = [x for x in names if (self.declared[x].kind == kind if x in self.declared else x in self.frames)]
         if not known:
-            place = 4 if _TWO_TARGETS.match(word) else 3
-            name = self.code.excerpt(*spans[place]) if len(spans) > place else "?"
-            raise LeftOutError(f"tool '{name}' is not declared here; give its module with --frames")
-        return self._usable(known[-1])
-
-    def _work_object(self, options: Mapping[str, Span]) -> Frame:
-        if "WOBJ" not in options:
-            return Frame()
-        name = self.code.text(*options["WOBJ"])
-        if not self._is_frame(name, "WOBJDATA"):
-            shown = self.code.excerpt(*options["WOBJ"])
-            raise LeftOutError(f"work object '{shown}' is not declared here; give its module with --frames")
-        return self._usable(name)
-
-    def _usable(self, name: str) -> Frame:
-        """The frame of a tool or work object that the program does not set, or `LeftOutError`."""
+            shown = next((self.code.excerpt(*span) for span in usual), "?")
+            raise LeftOutError(f"{what} '{shown}' is not declared here; give its module with --frames")
+        name = known[-1]
         data, shown, base = self.declared.get(name), f"'{name.lower()}'", name.partition("{")[0]
         if self.uses.is_set(base):
             raise LeftOutError(f"{shown} {self.uses.why_not(base)}")
@@ -346,12 +333,8 @@ class RapidReader(Reader):
         targets = list(spans[: 2 if _TWO_TARGETS.match(word) else 1])
         if word.startswith("SEARCH"):
             targets = [span for span in spans[:4] if self.code.text(*span) in self.declared][-1:] or targets
-        self.go(
-            targets,
-            state,
-            lambda span: self._data(word, span),
-            lambda data, state: self._target(word, data, spans, options, state),
-        )
+        find = partial(self._data, word)
+        self.go(targets, state, find, lambda data, state: self._target(word, data, spans, options, state))
 
     def _data(self, word: str, span: Span) -> Data:
         name = self.code.text(*span)
@@ -362,7 +345,7 @@ class RapidReader(Reader):
         data = self.declared.get(name)
         if data is not None and data.kind.endswith("TARGET") and data.span != NO_VALUE:
             return data
-        moved = self.code.tokens[span[0] + 2].text if name.startswith(("OFFS(", "RELTOOL(")) else ""
+        moved = self.code.word(span[0] + 2) if name.startswith(("OFFS(", "RELTOOL(")) else ""
         along = f"; it moves along with {self.declared[moved].name}" if moved in self.declared else ""
         base = name.partition("{")[0]
         chosen = f"{base}{{1}}" in self.declared
@@ -371,7 +354,7 @@ class RapidReader(Reader):
 
     def _target(
         self, word: str, data: Data, spans: Sequence[Span], options: Mapping[str, Span], state: State
-    ) -> Reached:
+    ) -> ProgramTarget:
         self.require_constant(data)
         if "CORR" in options:
             raise LeftOutError("is corrected while the robot moves (\\Corr)")
@@ -386,7 +369,9 @@ class RapidReader(Reader):
         cells, _ = self._pose(parts[:2])
         if isinstance(state["PDISP"], Unknown):
             raise LeftOutError(f"a program displacement {state['PDISP'].why}")
-        tool, frame = self._tool(word, spans), self._work_object(options)
+        tool = self._frame_in(spans, "TOOLDATA", "tool", spans[4 if _TWO_TARGETS.match(word) else 3 :])
+        wobj = [options["WOBJ"]] if "WOBJ" in options else []
+        frame = self._frame_in(wobj, "WOBJDATA", "work object", wobj) if wobj else ITSELF
         checked = state["CONFJ" if word.startswith(("MOVEJ", "TRIGGJ")) else "CONFL"]
         if isinstance(checked, Unknown):
             raise LeftOutError(f"whether its configuration is checked {checked.why}")
@@ -397,5 +382,6 @@ class RapidReader(Reader):
         """cf1, cf4, cf6 are quarter turns of axes 1, 4, 6; bit 4 of cfx is the side of axis 1, bit 2 of the arm."""
         quarters = [round(value) for value in self._values(span, 4, "a configuration")]
         ranges = {joint: (q * _QUARTER, (q + 1) * _QUARTER) for joint, q in zip((0, 3, 5), quarters[:3], strict=True)}
-        behind, elbow = bool(quarters[3] & 4), bool(quarters[3] & 2)
-        return Configuration(self.code.excerpt(*span), ranges, behind, elbow)
+        return Configuration(
+            self.code.excerpt(*span), ranges, (bool(quarters[3] & 4), bool(quarters[3] & 2), None, None)
+        )

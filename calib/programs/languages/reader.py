@@ -12,19 +12,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
-
-import pinocchio as pin
 
 from calib.core.base.errors import DataError
 from calib.core.data.tables import read_table
 from calib.programs.languages.control_flow import State, Unknown
 from calib.programs.languages.robot_program import (
+    ITSELF,
     Configuration,
+    Frame,
     LeftOutError,
-    Place,
     ProgramTarget,
     RobotProgram,
     Rotation,
@@ -34,15 +33,6 @@ from calib.programs.languages.robot_program import (
 )
 from calib.programs.languages.statements import Statements
 from calib.programs.languages.tokens import Number, ProgramWords, Span
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Pose of a tool or frame, and the places of the program's data that define it."""
-
-    pose: pin.SE3 = field(default_factory=pin.SE3.Identity)
-    places: tuple[Place, ...] = ()
-
 
 Frames = Mapping[str, Frame | Unknown]
 """Tools and frames by name."""
@@ -103,15 +93,8 @@ class Data:
     kind: str = ""
     shared: bool = False
 
-    @property
-    def place(self) -> Place:
-        """File and first word."""
-        return self.file, self.span[0]
-
 
 _Data = TypeVar("_Data", bound=Data)
-Reached = tuple[ProgramTarget, tuple[Place, ...]]
-"""A target, and the places of the data that define its frame and tool."""
 
 
 class Reader(Statements):
@@ -129,6 +112,7 @@ class Reader(Statements):
     """
 
     language: str
+    known: frozenset[str]  # built-in routines that change nothing
     assigning = "="  # the mark of an assignment
     by_value = False  # whether routines cannot set their arguments
     lost: tuple[str, ...] = ()  # settings that a routine declared elsewhere may change; empty: all
@@ -136,7 +120,7 @@ class Reader(Statements):
 
     def __init__(self, codes: Sequence[ProgramWords], start: State, frames: Frames, harmless: Collection[str]) -> None:
         super().__init__(codes, start)
-        self.frames, self.harmless = frames, harmless
+        self.frames, self.harmless = frames, self.known | set(harmless)
         self.visits = list[Visit]()
         self.declared = dict[str, Data]()
         self.foreign = ""
@@ -145,7 +129,7 @@ class Reader(Statements):
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
         """Process the call of a built-in or harmless routine; return whether the call is known."""
-        return self.code.tokens[at].text in self.harmless
+        return self.code.word(at) in self.harmless
 
     def program(self) -> RobotProgram:
         """Read all statements, follow the program, and process its moves.
@@ -172,11 +156,11 @@ class Reader(Statements):
             raise self.syntax_error(equals, "stands twice in a statement")
         self.expression(first + 1, equals)
         self.expression(equals + 1, stop)
-        self.uses.compute(self.code.tokens[first].text, self.names(first + 1, stop))
+        self.uses.compute(self.code.word(first), self.names(first + 1, stop))
 
     def call(self, at: int, span: Span, *, maybe: bool = False) -> None:
         """Process a call with its arguments; with `maybe` the program may skip it."""
-        name, shown = self.code.tokens[at].text, self.code.excerpt(at, at + 1)
+        name, shown = self.code.word(at), self.code.excerpt(at, at + 1)
         if name in self.routines:
             self.uses.compute(f"{name}()", self.names(*span))
             if self.routines[name]:
@@ -197,7 +181,7 @@ class Reader(Statements):
         """Record that the call may set every name that stands alone among its arguments."""
         for at in self.code.names(*span) if not self.by_value else ():
             if not self.code.is_mark(at - 1, "\\", "."):
-                self.change(self.code.tokens[at].text, why)
+                self.change(self.code.word(at), why)
 
     # data and moves
 
@@ -220,22 +204,26 @@ class Reader(Statements):
         data: Data,
         cells: tuple[Number, ...],
         rotation: Rotation | None = None,
-        frame: Frame = Frame(),
-        tool: Frame = Frame(),
+        frame: Frame = ITSELF,
+        tool: Frame = ITSELF,
         configuration: Configuration | None = None,
         near: tuple[float, ...] = (),
-    ) -> Reached:
+    ) -> ProgramTarget:
         """Return a target; see `ProgramTarget`."""
         line, path = self.codes[data.file].line(data.span[0]), self.sources[data.file].path
-        target = ProgramTarget(line, path, data.name, cells, rotation, frame.pose, tool.pose, configuration, near)
-        return target, frame.places + tool.places
+        return ProgramTarget(line, path, data.name, cells, rotation, frame, tool, configuration, near)
+
+    def frame_of(self, data: Data, cells: Sequence[Number], rotation: Rotation) -> Frame:
+        """Return the frame that a pose of the program defines, or raise `DataError`."""
+        places = ((data.file, data.span[0]),) if data.name else ()
+        return Frame(pose_of([cell.value for cell in cells], rotation), places)
 
     def go(
         self,
         spans: Iterable[Span],
         state: State | None,
         find: Callable[[Span], _Data],
-        target: Callable[[_Data, State], Reached],
+        target: Callable[[_Data, State], ProgramTarget],
     ) -> None:
         """Process the targets of a move, each in its span of words; without a state, the program never comes there.
 
@@ -247,9 +235,9 @@ class Reader(Statements):
                 data = find(span)
                 if state is None:
                     raise LeftOutError("is never reached by the program")
-                visit = replace(visit, place=data.place)
-                reached, frames = target(data, state)
-                visit = replace(visit, text=reached.name or visit.text, target=reached, frames=frames)
+                visit = replace(visit, place=(data.file, data.span[0]))
+                reached = target(data, state)
+                visit = replace(visit, text=reached.name or visit.text, target=reached)
             except LeftOutError as why:
                 visit = replace(visit, why=str(why))
             self.visits.append(visit)

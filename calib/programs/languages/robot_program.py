@@ -23,6 +23,10 @@ from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError
 from calib.programs.languages.tokens import Number, ProgramSource
 
+FourSides = tuple[bool | None, bool | None, bool | None, bool | None]
+NO_SIDES: FourSides = (None, None, None, None)
+Place = tuple[int, int]
+"""Where numbers stand: index of the file, and index of their first word."""
 _UNIT_LENGTH = 1e-3  # allowed deviation of a quaternion from unit length
 Rotation = Literal["vector", "quaternion", "zyx", "xyz"]
 """How a language writes an orientation: rotation vector; quaternion w, x, y, z; angles about z, y', x'' (A, B, C of
@@ -83,6 +87,18 @@ _ROTATIONS: dict[
 }
 
 
+@dataclass(frozen=True)
+class Frame:
+    """Pose of a tool or frame, and the places of the program's data that define it."""
+
+    pose: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    places: tuple[Place, ...] = ()
+
+
+ITSELF = Frame()
+"""The robot's base as a frame, or its flange as a tool."""
+
+
 class LeftOutError(Exception):
     """A target of a program cannot be compensated; the message says why."""
 
@@ -94,18 +110,14 @@ class Configuration:
     Attributes:
         text: As written.
         ranges: Interval of each stated joint, by number from 0 [rad].
-        behind: Whether the wrist is on another side of axis 1 than in the reference pose; None: not stated.
-        elbow: The same for the wrist and the line through axes 2 and 3.
-        flipped: The same for the sign of joint 5.
-        elbow_bent: Whether joint 3 is beyond the pose in which axes 2 and 3 and the wrist are in line.
+        sides: Whether the wrist is on another side of axis 1 than in the reference pose; the same for the wrist and the
+            line through axes 2 and 3; the same for the sign of joint 5; whether joint 3 is beyond the pose in which
+            axes 2 and 3 and the wrist are in line. None: not stated.
     """
 
     text: str
     ranges: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    behind: bool | None = None
-    elbow: bool | None = None
-    flipped: bool | None = None
-    elbow_bent: bool | None = None
+    sides: FourSides = NO_SIDES
 
 
 @dataclass(frozen=True)
@@ -118,8 +130,8 @@ class ProgramTarget:
         name: Name in the program; empty if it has none.
         cells: Its numbers: joint values; or a position and an orientation as the language writes it.
         rotation: Form of the orientation; None: joint values.
-        frame: T_base_frame of the frame in which the pose is given.
-        tool: T_flange_tool of the tool whose pose it is.
+        frame: The frame in which the pose is given, T_base_frame.
+        tool: The tool whose pose it is, T_flange_tool.
         configuration: The stated joint configuration.
         near: Stated joint values near the pose [m or rad]; empty if none are stated.
     """
@@ -129,8 +141,8 @@ class ProgramTarget:
     name: str
     cells: tuple[Number, ...]
     rotation: Rotation | None
-    frame: pin.SE3 = field(default_factory=pin.SE3.Identity)
-    tool: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    frame: Frame = ITSELF
+    tool: Frame = ITSELF
     configuration: Configuration | None = None
     near: tuple[float, ...] = ()
 
@@ -148,17 +160,12 @@ class ProgramTarget:
     def flange(self) -> pin.SE3:
         """T_base_flange of a pose."""
         assert self.rotation is not None
-        return self.frame * pose_of(self.values, self.rotation) * self.tool.inverse()
+        return self.frame.pose * pose_of(self.values, self.rotation) * self.tool.pose.inverse()
 
     def numbers_of(self, flange: pin.SE3) -> tuple[float, ...]:
         """Return the numbers [SI] of the pose that brings the flange to T_base_flange."""
         assert self.rotation is not None
-        pose = self.frame.inverse() * flange * self.tool
-        return numbers_of(pose, self.rotation, self.values)
-
-
-Place = tuple[int, int]
-"""Where numbers stand: index of the file, and index of their first word."""
+        return numbers_of(self.frame.pose.inverse() * flange * self.tool.pose, self.rotation, self.values)
 
 
 @dataclass(frozen=True)
@@ -171,7 +178,6 @@ class Visit:
         place: Place of the target's numbers; None if the program does not have them.
         target: The target; None if it cannot be compensated.
         why: Why the target stays unchanged; empty if it does not.
-        frames: Places of the program's data that define its frame or tool.
     """
 
     path: str
@@ -180,7 +186,6 @@ class Visit:
     place: Place | None = None
     target: ProgramTarget | None = None
     why: str = ""
-    frames: tuple[Place, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.path}, line {self.line}: {self.text}: {self.why}"
@@ -245,9 +250,10 @@ def program_of(language: str, sources: Sequence[ProgramSource], visits: Iterable
             same.setdefault(visit.place, []).append(visit)
     targets = dict[Place, ProgramTarget]()
     for place, group in same.items():
-        stays = next((visit for visit in group if visit.target is None or _differs(group[0], visit)), None)
+        reached = [visit.target for visit in group if visit.target is not None]
+        stays = next((visit for visit in group if visit.target is None or _differs(reached[0], visit.target)), None)
         if stays is None:
-            targets[place] = _join_visits(group)
+            targets[place] = replace(reached[0], near=next((target.near for target in reached if target.near), ()))
             continue
         if stays.target is not None:
             left.append(replace(stays, why="is reached with different tools or frames; give each a target"))
@@ -257,7 +263,8 @@ def program_of(language: str, sources: Sequence[ProgramSource], visits: Iterable
         place: targets[frame].name
         for place in targets
         for visit in same[place]
-        for frame in reversed(visit.frames)
+        if visit.target is not None
+        for frame in reversed(visit.target.frame.places + visit.target.tool.places)
         if frame in targets
     }
     for place, name in along.items():
@@ -272,14 +279,7 @@ def program_of(language: str, sources: Sequence[ProgramSource], visits: Iterable
     return RobotProgram(language, tuple(sources), tuple(targets.values()), tuple(ordered))
 
 
-def _differs(first: Visit, visit: Visit) -> bool:
-    one, other = first.target, visit.target
-    if one is None or other is None or one.rotation is None:
-        return False
-    return not (one.frame.isApprox(other.frame) and one.tool.isApprox(other.tool))
-
-
-def _join_visits(group: Sequence[Visit]) -> ProgramTarget:
-    """The target of equal visits, with the first stated near joints."""
-    targets = [visit.target for visit in group if visit.target is not None]
-    return replace(targets[0], near=next((target.near for target in targets if target.near), ()))
+def _differs(one: ProgramTarget, other: ProgramTarget) -> bool:
+    """Whether two poses are in different frames or of different tools."""
+    frames = ((one.frame, other.frame), (one.tool, other.tool))
+    return one.rotation is not None and not all(a.pose.isApprox(b.pose) for a, b in frames)

@@ -66,12 +66,12 @@ class Statements(ABC):
         }
         self.routines = dict[str, bool]()
         for at in self.code.names(0, len(self.code.tokens) - 1):
-            if self.code.tokens[at].text in self.ROUTINES.split():
+            if self.code.word(at) in self.ROUTINES.split():
                 self._find_routine(at)
 
     def parameter(self, span: Span) -> tuple[list[str], bool]:
         """Return the names of a parameter, and whether the routine can set its argument."""
-        return [self.code.tokens[span[0]].text], False
+        return [self.code.word(span[0])], False
 
     @abstractmethod
     def statement(self, at: int, stop: int) -> None:
@@ -83,7 +83,7 @@ class Statements(ABC):
 
     def names(self, first: int, stop: int) -> set[str]:
         """Return the names of data in a span of words."""
-        return {self.code.tokens[at].text for at in self.code.names(first, stop)}
+        return {self.code.word(at) for at in self.code.names(first, stop)}
 
     def decide(self, first: int, stop: int) -> None:
         """Record that the program's path depends on these words."""
@@ -107,7 +107,7 @@ class Statements(ABC):
                 at = self.skip(at, at + 1)
             elif token.kind == "name" and token.text in self.words:
                 at = self.act(at, self.words[token.text])
-            elif token.kind == "name" and code.tokens[at + 1].text == ":":
+            elif token.kind == "name" and code.word(at + 1) == ":":
                 self.flow.label(f"label {token.text}")
                 at += 2
             else:
@@ -153,7 +153,7 @@ class Statements(ABC):
 
     def _find_routine(self, at: int) -> None:
         bracket = self._routine(at)
-        name, settable = self.code.tokens[bracket - 1].text, False
+        name, settable = self.code.word(bracket - 1), False
         for span in self.code.split(bracket + 1, self.code.partner[bracket]):
             parameters, set_by_it = self.parameter(span)
             settable |= set_by_it
@@ -164,8 +164,8 @@ class Statements(ABC):
 
     def begin(self, at: int, _: int) -> int:
         """Begin a routine; those of `THREADS` run at the same time as the others."""
-        bracket, at_any_time = self._routine(at), self.code.tokens[at].text in self.THREADS
-        self.flow.begin(self.code.tokens[bracket - 1].text, self.code.location(at), at_any_time=at_any_time)
+        bracket, at_any_time = self._routine(at), self.code.word(at) in self.THREADS
+        self.flow.begin(self.code.word(bracket - 1), self.code.location(at), at_any_time=at_any_time)
         return self.code.partner[bracket] + 1
 
     def finish(self, at: int, behind: int) -> int:
@@ -220,7 +220,7 @@ class Statements(ABC):
 
     def branch(self, at: int, behind: int) -> int:
         """Begin branches; the program may skip the first."""
-        self.open_block(self.code.tokens[at].text, self.code.line(at))
+        self.open_block(self.code.word(at), self.code.line(at))
         return self.pass_over(at, behind)
 
     def begin_branch(self, at: int, behind: int) -> int:
@@ -241,12 +241,12 @@ class Statements(ABC):
 
     def count(self, at: int, behind: int) -> int:
         """Record that a loop counts with the variable after its word."""
-        self.change(self.code.tokens[at + 1].text)
+        self.change(self.code.word(at + 1))
         return behind
 
     def repeat(self, at: int, behind: int) -> int:
         """Begin a loop."""
-        self.open_block(self.code.tokens[at].text, self.code.line(at), loop=True)
+        self.open_block(self.code.word(at), self.code.line(at), loop=True)
         return behind
 
     def end_loop(self, at: int, behind: int) -> int:
@@ -259,7 +259,7 @@ class Statements(ABC):
 
     def close(self, at: int, behind: int) -> int:
         """End branches or a loop, named by the word after `END`, or raise `syntax_error`."""
-        if not self.blocks or self.blocks[-1].kind != self.code.tokens[at].text[3:]:
+        if not self.blocks or self.blocks[-1].kind != self.code.word(at)[3:]:
             raise self.syntax_error(at, "ends nothing")
         self.close_block()
         return behind
@@ -268,7 +268,7 @@ class Statements(ABC):
 
     def jump(self, at: int, _: int) -> int:
         """Go to a label."""
-        self.flow.jump(f"label {self.code.tokens[at + 1].text}")
+        self.flow.jump(f"label {self.code.word(at + 1)}")
         return self.end(at)
 
     def leave_loop(self, _: int, behind: int) -> int:

@@ -23,6 +23,7 @@ When it fails. Near a singular pose g bends so much that no pieces are short eno
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,8 +87,7 @@ class CompensatedMoves(FramedErrors):
     n_measured: int
 
 
-@dataclass(frozen=True, eq=False)
-class _MovePieces:
+class _MovePieces(NamedTuple):
     """A move in pieces: waypoints and joints from its start on, (n_pieces + 1, 3), and the errors at its end [m]."""
 
     waypoints: FloatArray
@@ -129,7 +129,9 @@ def compensate_moves(
         )
     if not tolerance > 0:
         raise InputError("the tolerance between points must be positive")
-    frame = program_frame(replace(known, robot=_without_backlash(robot)))
+    directed = (term for term in robot.terms if Condition.APPROACH in term.depends_on)
+    without = robot.with_parameters({parameter.name: 0.0 for term in directed for parameter in term.parameters})
+    frame = program_frame(replace(known, robot=without))
     lengths = np.linalg.norm(moves.ends - moves.starts, axis=1)
     pieces = np.ones(len(lengths), dtype=np.intp)
     ways: dict[int, _MovePieces] = {}
@@ -145,22 +147,21 @@ def compensate_moves(
         active, off = active[off > tolerance], off[off > tolerance]
         needed = np.ceil(_RESERVE * pieces[active] * np.sqrt(off / tolerance)).astype(np.intp)
         pieces[active] = np.maximum(needed, 2 * pieces[active])
-        _require_length(moves, active, lengths[active] / pieces[active], off, tolerance)
-    in_order = [ways[k] for k in range(len(lengths))]
+        for k in np.flatnonzero(lengths[active] / pieces[active] < _SHORTEST)[:1]:
+            raise ComputationError(
+                f"{moves.labels[active[k]]}: off by {quantity_text(off[k], 'mm', '.4f')} between points, and pieces of"
+                f" {quantity_text(_SHORTEST, 'mm', 'g')} do not bring that below {quantity_text(tolerance, 'mm', 'g')};"
+                " the robot is near a singular pose there: keep away from it, or allow more"
+            )
+    waypoints, _, before, expected = zip(*(ways[k] for k in range(len(lengths))), strict=True)
     return CompensatedMoves(
-        tuple(way.waypoints[1:] for way in in_order),
-        np.array([way.before for way in in_order]),
-        np.array([way.expected for way in in_order]),
+        tuple(points[1:] for points in waypoints),
+        np.array(before),
+        np.array(expected),
         deviations,
         n_measured,
         **words_of(frame),
     )
-
-
-def _without_backlash(robot: Robot) -> Robot:
-    """The calibrated robot without terms that depend on the direction of approach."""
-    directed = (term for term in robot.terms if Condition.APPROACH in term.depends_on)
-    return robot.with_parameters({parameter.name: 0.0 for term in directed for parameter in term.parameters})
 
 
 def _pieces_by_move(
@@ -185,10 +186,10 @@ def _pieces_by_move(
     at, cuts = np.cumsum(fresh) - 1, np.cumsum(pieces + 1)[:-1]
     sent = goals[fresh] if frame.nothing_to_correct else compensated.controller_poses(frame.nominal)[0]
     parts = (sent, compensated.q, compensated.before, compensated.expected)
-    waypoints, q, before, expected = (np.split(part[at], cuts) for part in parts)
+    of_moves = zip(*(np.split(part[at], cuts) for part in parts), strict=True)
     return {
-        int(k): _MovePieces(waypoints[i], q[i], float(before[i][-1]), float(expected[i][-1]))
-        for i, k in enumerate(active)
+        int(k): _MovePieces(waypoints, q, float(before[-1]), float(expected[-1]))
+        for k, (waypoints, q, before, expected) in zip(active, of_moves, strict=True)
     }
 
 
@@ -231,15 +232,3 @@ def _driven_positions(robot: Robot, nominal: Robot, sent: Goals, near: FloatArra
         label = sent.labels[int(np.argmax(reached.distance))]
         raise UnreachablePoseError(f"{label}: the controller cannot follow the line; keep away from there")
     return robot.positions(commands_for(nominal, reached.actuated))[:, robot.target_names.index(reach.target.name)]
-
-
-def _require_length(
-    moves: StraightMoves, active: IntArray, lengths: FloatArray, off: FloatArray, tolerance: float
-) -> None:
-    """Raise `ComputationError` for a move whose pieces, of `lengths` (n_active,) [m], would be too short."""
-    for k in np.flatnonzero(lengths < _SHORTEST)[:1]:
-        raise ComputationError(
-            f"{moves.labels[active[k]]}: off by {quantity_text(off[k], 'mm', '.4f')} between points, and pieces of"
-            f" {quantity_text(_SHORTEST, 'mm', 'g')} do not bring that below {quantity_text(tolerance, 'mm', 'g')}; the"
-            " robot is near a singular pose there: keep away from it, or allow more"
-        )

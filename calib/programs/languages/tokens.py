@@ -25,6 +25,8 @@ _LARGEST = 1e6
 _MARK = codecs.BOM_UTF8.decode("latin-1")
 Span = tuple[int, int]
 """The index of the first of some words, and the index after the last."""
+_TEXT = Path(__file__).with_name("harmless.txt").read_text(encoding="utf-8")
+_LISTS = dict(re.findall(r"^\[(.*)\]\n([^\[]*)", _TEXT, re.MULTILINE))
 _CLOSING = {")": "(", "]": "[", "}": "{"}
 _DEEPEST = 100
 
@@ -135,6 +137,14 @@ def word_pattern(blank: str, name: str, marks: str, text: str = r'"[^"\n]*"') ->
     )
 
 
+def word_list(name: str, *, fold_case: bool = True) -> frozenset[str]:
+    """Return a list of `harmless.txt`: words of the manufacturers' manuals, in capitals with `fold_case`.
+
+    A name that is neither listed nor declared in the program may change anything.
+    """
+    return frozenset((_LISTS[name].upper() if fold_case else _LISTS[name]).split())
+
+
 class ProgramWords:
     """The words of a source.
 
@@ -204,6 +214,14 @@ class ProgramWords:
         text = self.source.excerpt(start, self.tokens[at].end)
         return DataError(f"{self.source.location(start)}: {text}: has a bracket that is not closed; correct it")
 
+    def word(self, at: int) -> str:
+        """Return the text of a word, in capitals where case does not count."""
+        return self.tokens[at].text
+
+    def name(self, first: int, end: int) -> str:
+        """Return the name that the given words are; empty if they are anything else."""
+        return self.tokens[first].text if end == first + 1 and self.tokens[first].kind == "name" else ""
+
     def location(self, at: int) -> str:
         """Return file and line of a word."""
         return self.source.location(self.tokens[at].start)
@@ -261,9 +279,9 @@ class ProgramWords:
             return tokens[0].start, tokens[-1].end
         return None
 
-    def names(self, first: int, end: int) -> Iterator[int]:
+    def names(self, first: int = 0, end: int | None = None) -> Iterator[int]:
         """Yield the indices of names."""
-        return (at for at in range(first, end) if self.tokens[at].kind == "name")
+        return (at for at in range(first, len(self.tokens) if end is None else end) if self.tokens[at].kind == "name")
 
     def calls(self, first: int, end: int) -> Iterator[int]:
         """Yield the indices of names with arguments in brackets after them, inner calls first."""

@@ -8,16 +8,15 @@ path to the move, or from `TCP` in the given frames. Arguments are passed by val
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
 
 from calib.programs.languages.control_flow import State, Unknown
-from calib.programs.languages.harmless import URSCRIPT, URSCRIPT_COMPUTED
-from calib.programs.languages.reader import Data, Frame, Frames, Reached, Reader, as_selected_frame
-from calib.programs.languages.robot_program import LeftOutError, Visit, pose_of
-from calib.programs.languages.tokens import DEGREE, Number, ProgramSource, ProgramWords, Span, word_pattern
+from calib.programs.languages.reader import Data, Frames, Reader, as_selected_frame
+from calib.programs.languages.robot_program import Frame, LeftOutError, ProgramTarget, Visit
+from calib.programs.languages.tokens import DEGREE, Number, ProgramSource, ProgramWords, Span, word_list, word_pattern
 
 SUFFIXES = (".script", ".urscript")
 _WORDS = word_pattern(r"#[^\n]*|\$[^\n]*", r"[^\W\d]\w*", r"[=!<>]=|\*\*|[-+*/%^()\[\]{}=<>,.:;]")
@@ -25,6 +24,7 @@ _MOVES = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc":
 _GOALS = ("", "pose", "q", "pose_to", "pose_via")
 _NO_TOOL = "no set_tcp before it selects a tool; add one, or TCP to the frames (--frames)"
 _AT_RUN_TIME = "is computed at run time"
+_COMPUTED = word_list("URScript COMPUTED", fold_case=False)  # functions whose motion has a goal that they compute
 _MOVED_ALONG = {
     "force_mode": "end_force_mode",
     "path_offset_enable": "path_offset_disable",
@@ -49,6 +49,7 @@ class UrscriptReader(Reader):
     """Reads a program; `TCP` in the given frames is the tool before the first `set_tcp`."""
 
     language, by_value, lost, danger = "URScript", True, ("tool",), "select another tool"
+    known = word_list("URScript", fold_case=False)
     ROUTINES, THREADS = "def thread sec", ("thread", "sec")
     WORDS: ClassVar = {
         "begin": ROUTINES,
@@ -68,7 +69,7 @@ class UrscriptReader(Reader):
         source = ProgramSource.read(path, "a URScript program")
         code = ProgramWords(source, _WORDS, fold_case=False, lines="outside", ends=";:")
         start = {"tool": frames.get("TCP", Unknown(_NO_TOOL, whole=True)), **dict.fromkeys(_MOVED_ALONG.values())}
-        super().__init__([code], start, frames, URSCRIPT | set(harmless))
+        super().__init__([code], start, frames, harmless)
 
     def close(self, at: int, behind: int) -> int:
         """End branches, a loop or a routine; all end with the same word."""
@@ -79,7 +80,7 @@ class UrscriptReader(Reader):
 
     def statement(self, at: int, stop: int) -> None:
         """Process an assignment or an expression."""
-        code, name = self.code, self.code.tokens[at].text
+        code, name = self.code, self.code.word(at)
         equals = code.find_mark(at, stop, "=")
         if equals == stop:
             self.expression(at, stop)
@@ -92,24 +93,25 @@ class UrscriptReader(Reader):
 
     def names(self, first: int, stop: int) -> set[str]:
         """Return the names of data in a span of words, without the targets of moves."""
-        moves = [at for at in self.code.calls(first, stop) if self.code.tokens[at].text in _MOVES]
+        moves = [at for at in self.code.calls(first, stop) if self.code.word(at) in _MOVES]
         moved = {k for at in moves for k in range(at, self.code.partner[at + 1])} if moves else ()
-        return {self.code.tokens[at].text for at in self.code.names(first, stop) if at not in moved}
+        return {self.code.word(at) for at in self.code.names(first, stop) if at not in moved}
 
     def read_known_call(self, at: int, span: Span, *, maybe: bool) -> bool:
         """Process a call of a built-in function, such as a move; return whether the call is known."""
-        name = self.code.tokens[at].text
+        name = self.code.word(at)
         if name in _MOVES:
-            self.flow.move(self.code.tokens[at].start, lambda state: self._move(name, span, state))
+            self.flow.move(at, lambda state: self._move(name, span, state))
         elif name == "set_tcp":
-            tool = None if maybe else next(iter(self.code.split(*span)), None)
-            self.flow.change(["tool"], lambda state: {**state, "tool": self._tool(tool)})
+            given = (0, 0) if maybe else next(iter(self.code.split(*span)), (0, 0))
+            unknown = Unknown(_NO_TOOL, whole=True)
+            self.flow.change(["tool"], lambda state: {**state, "tool": self._frame(given) or unknown})
         elif name == "assert":
             self.uses.decide(self.names(*span), self.code.line(at))
         elif name in _MOVED_ALONG.values():
             if not maybe:
                 self.flow.note_setting(name, None)
-        elif name in URSCRIPT_COMPUTED:
+        elif name in _COMPUTED:
             path, line = self.sources[0].path, self.code.line(at)
             self.uses.decide(self.names(*span), line)
             if name in _MOVED_ALONG:
@@ -125,7 +127,7 @@ class UrscriptReader(Reader):
         code, spans, units = self.code, [], []
         inside = code.bracket_content(span[0] + self._is_pose(span), span[1], "[")
         for left, right in code.split(*inside) if inside else ():
-            angle = code.bracket_content(left + 1, right, "(") if code.tokens[left].text == "d2r" else None
+            angle = code.bracket_content(left + 1, right, "(") if code.word(left) == "d2r" else None
             number = code.number(*angle) if angle else code.number(left, right)
             if number is None:
                 return None
@@ -139,31 +141,27 @@ class UrscriptReader(Reader):
 
     def _constant(self, span: Span) -> Data | None:
         """Six plain numbers, written out or named; else None."""
-        if span[1] == span[0] + 1 and self.code.tokens[span[0]].kind == "name":
-            name = self.code.tokens[span[0]].text
+        if name := self.code.name(*span):
             return None if self.uses.is_set(name) else self.declared.get(name)
         return Data("", 0, span) if span[1] > span[0] and self._numbers(span) else None
 
-    def _pose(self, data: Data | None) -> Frame | None:
+    def _frame(self, span: Span) -> Frame | None:
+        """A constant pose; else None."""
+        data = self._constant(span)
         cells = self._numbers(data.span) if data is not None and self._is_pose(data.span) else None
-        if data is None or cells is None:
-            return None
-        return Frame(pose_of([cell.value for cell in cells], "vector"), (data.place,) if data.name else ())
-
-    def _tool(self, span: Span | None) -> Hashable:
-        return (self._pose(self._constant(span)) if span else None) or Unknown(_NO_TOOL, whole=True)
+        return None if data is None or cells is None else self.frame_of(data, cells, "vector")
 
     def _named_argument(self, span: Span) -> tuple[str, Span]:
         """The name of an argument, empty if it has none, and the span of its value."""
         named = span[1] > span[0] + 1 and self.code.is_mark(span[0] + 1, "=")
-        return (self.code.tokens[span[0]].text, (span[0] + 2, span[1])) if named else ("", span)
+        return (self.code.word(span[0]), (span[0] + 2, span[1])) if named else ("", span)
 
     def _move(self, word: str, span: Span, state: State | None) -> None:
         """Process the targets of a move: the named arguments in `_GOALS`, or the first arguments."""
         given = sorted(map(self._named_argument, self.code.split(*span)), key=lambda pair: pair[0] not in _GOALS)
         self.go([value for _, value in given[: _MOVES[word]]], state, self._goal, self._target)
 
-    def _target(self, data: _Goal, state: State) -> Reached:
+    def _target(self, data: _Goal, state: State) -> ProgramTarget:
         self.require_constant(data)
         for moved in (state[key] for key in _MOVED_ALONG.values()):
             if isinstance(moved, Unknown):
@@ -171,23 +169,22 @@ class UrscriptReader(Reader):
         cells = self._numbers(data.span) or ()
         if not self._is_pose(data.span):
             return self.target(data, cells)
-        return self.target(
-            data, cells, "vector", data.frame, as_selected_frame("its tool", state["tool"]), near=data.near
-        )
+        tool = as_selected_frame("its tool", state["tool"])
+        return self.target(data, cells, "vector", data.frame, tool, near=data.near)
 
     def _goal(self, span: Span) -> _Goal:
         """The target that an argument writes out, names, or gives in another frame; else `LeftOutError`."""
         data = self._constant(span)
         if data is not None:
             return _Goal(data.name, data.file, data.span)
-        code, word = self.code, self.code.tokens[span[0]]
+        code, word = self.code, self.code.word(span[0])
         inside = code.bracket_content(span[0] + 1, span[1], "(")
-        if word.text not in ("get_inverse_kin", "pose_trans") or word.text in self.routines or inside is None:
-            single = span[1] == span[0] + 1 and word.kind == "name"
-            raise LeftOutError((self.uses.why_not(word.text) or "is not declared here") if single else _AT_RUN_TIME)
+        if word not in ("get_inverse_kin", "pose_trans") or word in self.routines or inside is None:
+            single = code.name(*span)
+            raise LeftOutError((self.uses.why_not(single) or "is not declared here") if single else _AT_RUN_TIME)
         given = code.split(*inside)
-        if word.text == "pose_trans":
-            feature = self._pose(self._constant(given[0])) if len(given) == 2 else None
+        if word == "pose_trans":
+            feature = self._frame(given[0]) if len(given) == 2 else None
             if feature is None:
                 raise LeftOutError(f"{_AT_RUN_TIME}: its frame is not constant")
             goal = self._pose_goal(given[1])
@@ -196,8 +193,8 @@ class UrscriptReader(Reader):
         if not given or len(given) > 4 or any(self._named_argument(argument)[0] == "tcp" for argument in given):
             raise LeftOutError(_AT_RUN_TIME)
         near = self._constant(self._named_argument(given[1])[1]) if len(given) > 1 else None
-        joints = self._numbers(near.span) or () if near is not None and not self._is_pose(near.span) else ()
-        return replace(self._pose_goal(given[0]), near=tuple(joint.value for joint in joints))
+        joints = self._numbers(near.span) if near is not None and not self._is_pose(near.span) else None
+        return replace(self._pose_goal(given[0]), near=tuple(joint.value for joint in joints or ()))
 
     def _pose_goal(self, span: Span) -> _Goal:
         goal = self._goal(span)

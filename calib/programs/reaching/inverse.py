@@ -60,10 +60,8 @@ class Search:
         self.reach, self.home = reach, GoalConfigurations.unknown(start.actuated, start.passive)
         self._reached = TOLERANCE * min(1.0, reach.mechanism.length)
         self.best = reach.as_given(np.arange(n), self.home.subset(np.zeros(n, dtype=np.intp)))
-        goal_features = _features(
-            reach.goals.positions, reach.goals.rotations, reach.goals.directions, reach.mechanism.length
-        )
-        self._features = np.where(np.isnan(goal_features), self._features_at(self.home), goal_features)
+        given = _features(reach, reach.goals.positions, reach.goals.rotations, reach.goals.directions)
+        self._features = np.where(np.isnan(given), self._features_at(self.home), given)
 
     @property
     def is_solved(self) -> BoolArray:
@@ -113,23 +111,17 @@ class Search:
 
     def _features_at(self, at: GoalConfigurations) -> FloatArray:
         position, rotation, *_ = motion(self.reach.mechanism, self.reach.target, at.actuated, at.passive)
-        goals = self.reach.goals
-        return _features(
-            position,
-            None if goals.rotations is None else rotation,
-            None if goals.directions is None else rotation[:, :, 2],
-            self.reach.mechanism.length,
-        )
+        return _features(self.reach, position, rotation, rotation[:, :, 2])
 
 
 def _features(
-    positions: FloatArray, rotations: FloatArray | None, directions: FloatArray | None, length: float
+    reach: Reach, positions: FloatArray, rotations: FloatArray | None, directions: FloatArray | None
 ) -> FloatArray:
-    """Coordinates (n, k) [m] in which similar poses are near each other."""
-    parts = [positions]
-    if rotations is not None:
+    """Coordinates (n, k) [m] of what the goals state, in which similar poses are near each other."""
+    parts, length = [positions], reach.mechanism.length
+    if reach.goals.rotations is not None and rotations is not None:
         parts.append(length * rotations.reshape(-1, 9) / np.sqrt(2))
-    if directions is not None:
+    if reach.goals.directions is not None and directions is not None:
         parts.append(length * directions)
     return np.concatenate(parts, axis=1)
 

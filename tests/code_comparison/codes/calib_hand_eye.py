@@ -7,7 +7,7 @@ from exchange import Answer, Photographs, fit_time, main
 
 import calib
 from calib.photographs.estimation import rms
-from calib.photographs.hand_eye_calibration import calibrate
+from calib.photographs.hand_eye import calibrate
 from calib.photographs.hand_eye_result import judge
 from calib.photographs.scene import BoardScene
 

@@ -1,20 +1,23 @@
-"""What every code reads and answers: a folder with one problem, and one file. NumPy and SciPy alone.
+"""What every code reads and answers: a folder with one problem, and one file. NumPy alone.
 
-robot.urdf, and robot_mdh.csv where the nominal arm has modified Denavit-Hartenberg parameters (of `calib export mdh`);
-problem.json: joints, base and link (names of the URDF), point (nominal place of what is read on the link [m]),
-point_sigma (how far it may be off [m], null: anywhere), length_sigma and angle_sigma (how far origins may be off
-[m, rad]), spacing (of two sockets [m], null where positions were read), and a start: T_measured_base (4 x 4) and
-p_link_point [m];
-train.csv: the joints [rad], then x, y, z [m] as read, or the numbers of the place and of the socket;
-unseen.csv: the joints of poses to predict, whose readings no code gets.
-If cameras saw markers on the link, problem.json has cameras (a lens, OpenCV's fx fy cx cy k1 k2 p1 p2 k3, and a start
-T_base_camera) and a start T_link_markers instead of the other two; train.csv has the joints, the number of the camera,
-x, y, z of the marker [m] and its pixel. The answer is then the link's pose in its base, 12 numbers in rows.
+An arm: robot.urdf; robot_mdh.csv where the nominal arm has modified Denavit-Hartenberg parameters (of `calib export
+mdh`); and problem.json with
 
-Photographs have other files: problem.json with intrinsics fx fy cx cy as published, the size of images [px], and a
-start: T_base_camera and T_tool_board (4 x 4) [m]; train_tool.csv, the tool in the base, 16 numbers for each image;
-train.csv: image, x y z of a corner on the board [m], and its pixel; unseen_tool.csv and unseen.csv the same, without
-pixels.
+    joints, base, link          names of the URDF
+    point, point_sigma          nominal place of what is read on the link, how far it may be off (null: anywhere) [m]
+    length_sigma, angle_sigma   how far origins may be off [m, rad]
+    spacing                     of two sockets [m]; null where positions were read
+    q, read                     of rows to fit: joints [rad]; and x, y, z [m], or the numbers of place and socket
+    unseen                      joints of poses to predict, whose readings no code gets
+    T_measured_base (4, 4), p_link_point [m]    a start
+
+If cameras saw markers on the link, there are cameras (a lens, OpenCV's fx fy cx cy k1 k2 p1 p2 k3, and a start
+T_base_camera) and a start T_link_markers instead of the other two, and `read` has the number of the camera, x, y, z of
+the marker [m] and its pixel. The answer is then the link's pose in its base, 12 numbers in rows.
+
+Photographs: problem.json with intrinsics fx fy cx cy as published, the size of images [px], the start T_base_camera and
+T_tool_board (4, 4) [m]; tool, the tool in the base at each image (n, 4, 4); image, corners and pixels, one for each
+point; and unseen_tool, unseen_image and unseen_corners, of which pixels are to be predicted.
 """
 
 import json
@@ -50,42 +53,28 @@ class Answer:
 
 
 class Problem:
-    """One problem, as a code reads it."""
+    """One problem, as a code reads it: what problem.json has, numbers as arrays."""
+
+    cameras = None
 
     def __init__(self, folder: Path) -> None:
-        told: dict[str, Any] = json.loads((folder / "problem.json").read_text())
         self.folder = folder
-        self.joints: list[str] = told["joints"]
-        self.base, self.link = told["base"], told["link"]
-        self.point, self.point_sigma = np.array(told["point"]), told["point_sigma"]
-        self.length_sigma, self.angle_sigma = told["length_sigma"], told["angle_sigma"]
-        self.spacing, self.cameras = told["spacing"], told.get("cameras")
-        self.reads = "sockets" if self.spacing else "pixels" if self.cameras else "points"
-        self.T_measured_base, self.p_link_point, self.T_link_markers = (
-            np.array(told.get(name)) for name in ("T_measured_base", "p_link_point", "T_link_markers")
-        )
-        train = np.loadtxt(folder / "train.csv", delimiter=",", skiprows=1, ndmin=2)
-        self.q, self.read = train[:, : len(self.joints)], train[:, len(self.joints) :]
-        self.unseen = np.loadtxt(folder / "unseen.csv", delimiter=",", skiprows=1, ndmin=2)
+        for name, value in json.loads((folder / "problem.json").read_text()).items():
+            numbers = isinstance(value, list) and not isinstance(value[0], (str, dict))
+            setattr(self, name, np.array(value) if numbers else value)
+
+    @property
+    def reads(self) -> str:
+        """What was read of an arm."""
+        return "sockets" if self.spacing else "pixels" if self.cameras else "points"
 
 
-class Photographs:
-    """One problem of photographs, as a code reads it."""
+class Photographs(Problem):
+    """One problem of photographs."""
 
     def __init__(self, folder: Path) -> None:
-        told: dict[str, Any] = json.loads((folder / "problem.json").read_text())
-        self.intrinsics, self.size = np.array(told["intrinsics"]), tuple(told["size"])
-        self.T_base_camera, self.T_tool_board = np.array(told["T_base_camera"]), np.array(told["T_tool_board"])
-        parts = ("train", "unseen")
-        tables = [np.loadtxt(folder / f"{name}.csv", delimiter=",", ndmin=2) for name in parts]
-        (self.image, self.unseen_image), (self.corners, self.unseen_corners) = (
-            [table[:, 0].astype(int) for table in tables],
-            [table[:, 1:4] for table in tables],
-        )
-        self.pixels = tables[0][:, 4:]
-        self.tool, self.unseen_tool = (
-            np.loadtxt(folder / f"{name}_tool.csv", delimiter=",", ndmin=2).reshape(-1, 4, 4) for name in parts
-        )
+        super().__init__(folder)
+        self.size = tuple(self.size.tolist())
 
     def predicted(self, camera: np.ndarray, board: np.ndarray, lens: np.ndarray) -> np.ndarray:
         """Pixels of unseen corners, (n, 2); see `seen`."""

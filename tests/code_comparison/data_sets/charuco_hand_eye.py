@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from calib.photographs.commands.boards import read_board_option
 from calib.photographs.detection import detect
 from calib.photographs.images import shots
 
-from ..data_set import DataSet, Split
+from ..data_set import DataSet, Split, write_json
 
 
 @dataclass(frozen=True)
@@ -36,14 +35,10 @@ class Images:
         """What tells one image from another."""
         return {part.tobytes() for part in self.pixels}
 
-    def table(self) -> np.ndarray:
-        """Image, corner and pixel in a row."""
-        return np.vstack(
-            [
-                np.column_stack([np.full(len(c), k), c, p])
-                for k, (c, p) in enumerate(zip(self.corners, self.pixels, strict=True))
-            ]
-        )
+    def points(self) -> dict[str, np.ndarray]:
+        """The tool at each image; image and corner of each point."""
+        image = np.repeat(np.arange(len(self)), [len(part) for part in self.corners])
+        return {"tool": self.tool, "image": image, "corners": np.vstack(self.corners)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +60,9 @@ class Photographs(DataSet):
     size: tuple[int, int]
 
     def write(self, here: Path, split: Split, folder: Path) -> None:
-        told = {"intrinsics": self.intrinsics, "size": self.size}
-        told |= {"T_base_camera": _pose(self.camera).tolist(), "T_tool_board": _pose(self.board).tolist()}
-        (folder / "problem.json").write_text(json.dumps(told))
-        for name, part, width in (("train", split.train, 6), ("unseen", split.unseen, 4)):
-            np.savetxt(folder / f"{name}.csv", part.table()[:, :width], "%.17g", ",")
-            np.savetxt(folder / f"{name}_tool.csv", part.tool.reshape(-1, 16), "%.17g", ",")
+        told = {"intrinsics": self.intrinsics, "size": self.size, "pixels": np.vstack(split.train.pixels)}
+        told |= {"T_base_camera": _pose(self.camera), "T_tool_board": _pose(self.board)} | split.train.points()
+        write_json(folder, told | {f"unseen_{name}": part for name, part in split.unseen.points().items()})
 
     def errors(self, unseen: Images, predicted: np.ndarray) -> np.ndarray:
         """Root mean square of the corners of each image [px]: they share the error of the robot's pose."""
@@ -89,7 +81,7 @@ def read(folder: Path, board: str) -> Images:
     """Return the corners of all images of a folder, in the order of its table of poses."""
     described = read_board_option(board)
     table = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=1)
-    *_, detected = detect(described, ((image.name, image.read()) for image in shots([str(folder / "images")])))
+    detected = detect(described, ((image.name, image.read()) for image in shots([str(folder / "images")])))
     seen = {Path(image.name).stem: image for image in detected.usable}
     points, rows = detected.board.points(), [row for row in table if str(int(row[0])) in seen]
     own = [seen[str(int(row[0]))] for row in rows]

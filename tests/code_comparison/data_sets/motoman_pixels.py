@@ -37,16 +37,9 @@ class Watched(Arm):
         for k, lens in enumerate(self.lenses(here)):
             own = read[:, 0] == k
             seen = np.einsum("nij,nj->ni", poses[own] @ self.T_link_markers, np.insert(read[own, 1:4], 3, 1, axis=1))
-            cameras.append(
-                {"lens": lens.tolist(), "T_base_camera": _resection(seen[:, :3].copy(), read[own, 4:].copy(), lens)}
-            )
-        self.write_problem(
-            split,
-            folder,
-            ["camera", "marker_x", "marker_y", "marker_z", "u", "v"],
-            cameras=cameras,
-            T_link_markers=self.T_link_markers.tolist(),
-        )
+            start = _resection(seen[:, :3].copy(), read[own, 4:].copy(), lens)
+            cameras.append({"lens": lens, "T_base_camera": start})
+        self.write_problem(split, folder, cameras=cameras, T_link_markers=self.T_link_markers)
 
     def errors(self, unseen: Rows, predicted: np.ndarray) -> np.ndarray:
         """Distances [m] from the tracker's points; the point on the link, and the base, are laid through them."""
@@ -56,12 +49,12 @@ class Watched(Arm):
         return np.linalg.norm(at[:, :3] - unseen.read, axis=1)
 
 
-def _resection(points: np.ndarray, pixels: np.ndarray, lens: np.ndarray) -> list[list[float]]:
+def _resection(points: np.ndarray, pixels: np.ndarray, lens: np.ndarray) -> np.ndarray:
     """Where a camera is that sees points (n, 3) at pixels (n, 2), (4, 4); a start."""
     fx, fy, cx, cy, *bend = lens
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     _, turn, shift = cv2.solvePnP(points, pixels, matrix, np.array(bend), flags=cv2.SOLVEPNP_SQPNP)
-    return np.linalg.inv(moved(Rotation.from_rotvec(turn.ravel()).as_matrix(), shift.ravel())).tolist()
+    return np.linalg.inv(moved(Rotation.from_rotvec(turn.ravel()).as_matrix(), shift.ravel()))
 
 
 def _table(folder: Path, name: str) -> list[dict[str, str]]:

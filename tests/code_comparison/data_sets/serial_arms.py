@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arms import Arm
-from ..data_set import Rows, Split, drawn, some
+from ..data_set import Rows, Split, drawn
 
 UR_JOINTS = tuple(
     f"{joint}_joint" for joint in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
@@ -18,10 +18,10 @@ def _ur10(folder: Path) -> Iterator[Split]:
     rows = Rows(table[:, 1:7].astype(float), table[:, 7:10].astype(float) / 1e3)
     yield Split("200 at random", *drawn(rows, 0, 200, 600))
     stretch = np.arange(len(rows)) * 40 // len(rows) % 4
-    train, unseen = some(rows[stretch != 0], 0, 200), some(rows[stretch == 0], 0, 600)
+    train, unseen = drawn(rows[stretch != 0], 0, 200)[0], drawn(rows[stretch == 0], 0, 600)[0]
     yield Split("every fourth of 40 stretches unseen", train, unseen)
     low = rows.q[:, 1] < np.median(rows.q[:, 1])
-    yield Split("low half of the shoulder's lift fitted", some(rows[low], 0, 200), some(rows[~low], 0, 600))
+    yield Split("low half of the shoulder's lift fitted", drawn(rows[low], 0, 200)[0], drawn(rows[~low], 0, 600)[0])
 
 
 UR10 = Arm(

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arms import Arm
-from ..data_set import Rows, Split, some
+from ..data_set import Rows, Split, drawn
 
 COLUMN = "column_top_joint"
 JOINTS = (COLUMN, *(f"dsr_joint{k}" for k in range(1, 7)))
@@ -60,7 +60,7 @@ def _rows(path: Path) -> Rows:
 
 
 def _splits(folder: Path) -> Iterator[Split]:
-    level = some(_rows(folder / "flat.csv"), 0, 200)
+    level, _ = drawn(_rows(folder / "flat.csv"), 0, 200)
     for name, words in (("pallet", "on a pallet"), ("outdoor", "outdoors")):
         unseen = _rows(folder / f"{name}.csv")
         yield Split(f"level floor fitted, {words} unseen", Rows(level.q, level.read[:, :3]), unseen)

@@ -173,27 +173,19 @@ def test_a_fit_without_terms_follows_the_choices_of_the_one_with_them(tmp_path, 
     assert (accuracy.poses, accuracy.n_poses) == (PoseUse.FOLDS, own.identification.data.n_poses)
 
 
-def test_a_robot_whose_joints_are_only_off_by_zeros_gets_them_back(tmp_path, true_tip):
-    arm = arm_with(tmp_path)
-    rng, q = np.random.default_rng(6), joints(40)
-    zeros = np.array([2e-3, -1e-3, 3e-3, 0.0, -2e-3, 1e-3])
-    nominal = tip_of(urdf_links(arm.urdf.source), arm)
-    points = (nominal(q + zeros) @ [0.05, 0.02, 0.1, 1.0])[:, :3] + 1e-6 * rng.standard_normal((40, 3))
-    fit = calib.fit(arm, calib.as_measurements(arm, q, points))
-    np.testing.assert_allclose(fit.robot.files[Holds.ZEROS].offsets, zeros, atol=2e-6)
-    assert fit.robot.files[Holds.ZEROS].accuracy.rms < 3e-6
-
-
-def test_a_joint_that_counts_the_other_way_gets_its_sign_from_a_fit_too(tmp_path, true_tip):
-    arm = arm_with(tmp_path, "  - {joint: j6, term: gain, sigma: 1}\n")
-    q = joints(60)
-    nominal = tip_of(urdf_links(arm.urdf.source), arm)
-    points = (nominal(q * [1, 1, 1, 1, 1, -1] + [0, 0, 0, 0, 0, 0.01]) @ [0.05, 0.02, 0.1, 1.0])[:, :3]
-    robot = arm.with_parameters({"j6.gain": -2.0})  # where a search begins
-    fit = calib.fit(robot, calib.as_measurements(robot, q, points), sigma=1e-6)
-    zeros = fit.robot.files[Holds.ZEROS]
-    assert zeros.signs.tolist() == [1, 1, 1, 1, 1, -1]
-    assert zeros.offsets[5] == pytest.approx(0.01, abs=1e-6)
+@pytest.mark.parametrize(
+    ("signs", "zeros"), [([1] * 6, [2e-3, -1e-3, 3e-3, 0.0, -2e-3, 1e-3]), ([1, 1, 1, 1, 1, -1], [0, 0, 0, 0, 0, 0.01])]
+)
+def test_a_robot_whose_joints_are_only_off_by_zeros_and_signs_gets_them_back(tmp_path, signs, zeros):
+    arm = arm_with(tmp_path, "  - {joint: j6, term: gain, sigma: 1}\n" if min(signs) < 0 else "")
+    if min(signs) < 0:
+        arm = arm.with_parameters({"j6.gain": -2.0})  # where a search begins
+    q, noise = joints(60), 1e-6 * np.random.default_rng(6).standard_normal((60, 3))
+    points = (tip_of(urdf_links(arm.urdf.source), arm)(q * signs + zeros) @ [0.05, 0.02, 0.1, 1.0])[:, :3]
+    held = calib.fit(arm, calib.as_measurements(arm, q, points + noise), sigma=1e-6).robot.files[Holds.ZEROS]
+    assert held.signs.tolist() == signs
+    np.testing.assert_allclose(held.offsets, zeros, atol=2e-6)
+    assert held.accuracy.rms < 3e-6
 
 
 @pytest.mark.quick(0)

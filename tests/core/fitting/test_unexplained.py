@@ -136,6 +136,18 @@ def test_a_robot_that_its_parameters_describe_is_hardly_less_certain(name):
     assert 0.9 < np.mean([part for _, part in results]) < 0.995
 
 
+def test_errors_count_as_much_beside_a_target_that_is_known_to_half_a_metre(tmp_path):
+    found = []
+    for sigma in ("", ", sigma: 500 mm"):  # 5e4 of the noise, and rows move the target by 54 mm
+        text = "xyz: [0, 0, 0], position: unknown" + sigma
+        path = copied(
+            tmp_path, EXAMPLES / "arm.yaml", ("xyz: [20 mm, 0 mm, 50 mm], position: unknown, sigma: 5 mm", text)
+        )
+        found.append(calib.fit(path, EXAMPLES / "arm_simulated.csv", sigma=2e-5).joint_error)
+    assert found[0] > 1e-5
+    assert found[1] == pytest.approx(found[0], rel=0.03)
+
+
 def test_gross_errors_at_few_poses_are_no_errors_of_joints(robot):
     """They were 0.77 mrad; without gross errors 0.005 mrad is found on average."""
     q, read, _, _ = simulated(robot, "none", np.random.default_rng(7))

@@ -110,12 +110,13 @@ class Coverage:
     chi_square: float  # mean of chi-square over its degrees of freedom
     refused: float  # part of them that a test of chi-square at 5 % refuses
 
-    def __str__(self):
+    @property
+    def percent(self):
         percent = 100 * self.parameters
-        return (
-            f"{len(percent)} | {np.min(percent):.1f} to {np.max(percent):.1f} | {np.mean(percent):.1f} |"
-            f" {self.chi_square:.3f} | {100 * self.refused:.1f} |"
-        )
+        return f"{np.min(percent):.1f} to {np.max(percent):.1f} | {np.mean(percent):.1f} |"
+
+    def __str__(self):
+        return f"{len(self.parameters)} | {self.percent} {self.chi_square:.3f} | {100 * self.refused:.1f} |"
 
 
 def studied(robot, truth, q, kind, values, n):
@@ -322,14 +323,8 @@ def main(n):
             print(f"| {kind} | MedRUE | {on_medrue(Path(folder), kind, n)}", flush=True)
         print(f"| joint reading | five-bar | {on_the_five_bar(Path(folder), n)}", flush=True)
         for name, counts in (("4 times each", [4] * 40), ("10 times a quarter of them", [10] * 10 + [1] * 30)):
-            told(f"position, {name}", repeated(Path(folder), n, counts))
-        told("position and pixel", seen_by_both(Path(folder), n))
-
-
-def told(name, result):
-    """Print the coverage where readings of a pose share an error."""
-    percent = 100 * result.parameters
-    print(f"| {name} | {np.min(percent):.1f} to {np.max(percent):.1f} | {np.mean(percent):.1f} |", flush=True)
+            print(f"| position, {name} | {repeated(Path(folder), n, counts).percent}", flush=True)
+        print(f"| position and pixel | {seen_by_both(Path(folder), n).percent}", flush=True)
 
 
 if __name__ == "__main__":

@@ -155,22 +155,3 @@ def test_a_turn_about_gravity_is_said_not_to_be_determined(tmp_path, run_calib):
     run = run_calib("check", tmp_path / "arm.yaml", tmp_path / "data.csv")
     assert run.code == 0
     assert "base.rz" in run.out
-
-
-@pytest.mark.parametrize(
-    ("yaml", "columns", "cells", "said"),
-    [
-        (TILTED, "sensor_tilt_x [deg],sensor_tilt_y [mm]", "1,2", "column 'sensor_tilt_y': unit 'mm' is for a length"),
-        (
-            YAML,
-            "sensor_qx,sensor_qy,sensor_qz,sensor_qw",
-            "1,1,0,0",
-            "instrument 'sensor', reading 1: is not a quaternion of length 1; check the columns sensor_qx",
-        ),
-    ],
-    ids=["tilts in mm", "no rotation"],
-)
-def test_files_that_cannot_be(tmp_path, run_calib, yaml, columns, cells, said):
-    path = write_six_axis(tmp_path, yaml)
-    (tmp_path / "data.csv").write_text(f"j1,j2,j3,j4,j5,j6,{columns}\n0,0,0,0,0,0,{cells}\n")
-    assert said in run_calib("fit", path, tmp_path / "data.csv", "--out", tmp_path / "out").refusal()

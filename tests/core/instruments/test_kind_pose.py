@@ -102,30 +102,3 @@ def test_intervals_of_predictions_hold_the_truth(tmp_path, amount, noise, shared
         inside += int(np.sum(error <= prediction.coverage_factor * prediction.std))
     # coordinates of one position are not independent: the bound is that of the positions alone
     assert inside >= 3 * int(binom.ppf(1e-3, amount, 0.95))
-
-
-HEADER = "pose,j1 [deg],j2 [deg],j3 [deg],j4 [deg],j5 [deg],j6 [deg],tracker_x [mm],tracker_y [mm],tracker_z [mm]"
-ROW = "A,1,2,3,4,5,6,100,200,300"
-
-
-@pytest.mark.parametrize(
-    ("form", "header", "row", "message"),
-    [
-        ("quaternion", "tracker_qx,tracker_qy,tracker_qz,tracker_qw", "0,0,0,2", "is not a quaternion of length 1"),
-        ("quaternion", "tracker_qx,tracker_qy,tracker_qz", "0,0,0", "no column 'tracker_qw'"),
-        ("quaternion", "tracker_qx,tracker_qy,tracker_qz,tracker_qw [deg]", "0,0,0,1", "is a pure number"),
-        ("rpy", "tracker_roll [mm],tracker_pitch [mm],tracker_yaw [mm]", "1,2,3", "unit 'mm' is for a length"),
-        ("rpy", "tracker_roll,tracker_pitch,tracker_yaw", "90,2,3", "not plausible; write the unit"),
-        ("rpy", "tracker_rol,tracker_pitch,tracker_yaw", "1,2,3", "'tracker_roll'; did you mean 'tracker_rol'"),
-        ("matrix", ",".join(f"tracker_r{i}{j}" for i in "123" for j in "123"), "1,0,0,0,1,0,0,0,-1", "rotation matrix"),
-        ("rpy", "tracker_roll,tracker_pitch,tracker_yaw,tracker_std_x [mm]", "1,2,3,1", "no column 'tracker_std_y'"),
-    ],
-)
-def test_files_that_cannot_be(tmp_path, form, header, row, message):
-    robot = arm(tmp_path, YAML.replace("target: cell}", f"target: cell, rotation: {form}}}"))
-    path = tmp_path / "data.csv"
-    path.write_text(f"{HEADER},{header}\n{ROW},{row}\n")
-    with pytest.raises(calib.DataError) as caught:
-        read_measurements(path, robot)
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)

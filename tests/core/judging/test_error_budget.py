@@ -14,7 +14,7 @@ from calib.core.data.measurements import with_points
 from calib.core.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _basis, causes_of
 from calib.core.judging.findings import joint_budget
 from calib.core.results.report_text import text_report
-from calib.core.results.result_content import to_dict
+from calib.core.results.results import to_dict
 from calib.core.results.sections.budget import budget_table
 from calib.core.rows.observed import observe
 from tests.small_robots import ARM_YAML, write_arm
@@ -95,14 +95,18 @@ def test_every_parameter_has_its_cause(mixed):
 def test_the_parts_add_up_and_are_those_of_all_orders(mixed):
     fit, _ = mixed
     budget, data = fit.budget, fit.validation.data
-    before = np.sum(errors_of(fit.nominal, data) ** 2, axis=1)
-    assert budget.before == pytest.approx(np.mean(before), rel=1e-12)
-    assert sum(share.mean_square for share in budget.shares) == pytest.approx(budget.before, rel=1e-12)
+    assert budget.before == pytest.approx(np.mean(np.sum(errors_of(fit.nominal, data) ** 2, axis=1)), rel=1e-12)
     assert budget.after == pytest.approx(np.mean(np.sum(errors_of(fit.robot, data) ** 2, axis=1)), rel=1e-6)
-    members = [np.array(causes_of(fit.nominal)) == cause for cause in CAUSES]
-    expected = by_all_orders(fit.nominal, fit.robot, data, members)
-    results = [shares(budget)[cause].mean_square for cause in CAUSES]
-    np.testing.assert_allclose(results, expected, atol=2e-3 * budget.before)  # errors are not quite linear
+    by_cause = {cause: np.array(causes_of(fit.nominal)) == cause for cause in CAUSES}
+    others = (PLACES, NOISE, UNEXPLAINED, REST)
+    joints = [share.cause for share in joint_budget(fit).shares if share.cause not in others]
+    assert {"turn", "slide", "wrist"} <= set(joints)
+    by_joint = {joint: np.array([name.startswith(f"{joint}.") for name in fit.free_names]) for joint in joints}
+    for known, members in ((budget, by_cause), (joint_budget(fit), by_joint)):
+        assert sum(share.mean_square for share in known.shares) == pytest.approx(known.before, rel=1e-12)
+        expected = by_all_orders(fit.nominal, fit.robot, data, list(members.values()))
+        results = [shares(known)[cause].mean_square for cause in members]
+        np.testing.assert_allclose(results, expected, atol=2e-3 * known.before)  # errors are not quite linear
 
 
 def test_the_parts_are_those_of_the_true_causes_within_their_uncertainty(mixed):
@@ -117,18 +121,6 @@ def test_the_parts_are_those_of_the_true_causes_within_their_uncertainty(mixed):
     assert left[NOISE].mean_square == pytest.approx(3 * SIGMA**2, rel=1e-12)
     assert abs(left[UNEXPLAINED].mean_square) < 0.35 * 3 * SIGMA**2
     assert fit.budget.advice == "The rest is no larger than the stated noise; more modelling will not help"
-
-
-def test_joints_as_causes_are_those_of_all_orders(mixed):
-    fit, _ = mixed
-    budget = joint_budget(fit)
-    assert sum(share.mean_square for share in budget.shares) == pytest.approx(budget.before, rel=1e-12)
-    joints = [share.cause for share in budget.shares if share.cause not in (PLACES, NOISE, UNEXPLAINED, REST)]
-    assert {"turn", "slide", "wrist"} <= set(joints)
-    members = [np.array([name.startswith(f"{joint}.") for name in fit.free_names]) for joint in joints]
-    expected = by_all_orders(fit.nominal, fit.robot, fit.validation.data, members)
-    results = [shares(budget)[joint].mean_square for joint in joints]
-    np.testing.assert_allclose(results, expected, atol=2e-3 * budget.before)
 
 
 def test_a_gain_alone_is_all_of_the_error_as_computed_by_hand(tmp_path):

@@ -1,14 +1,25 @@
-"""Every reason of the verdict is said where it is true, with right numbers, and not where its cause is gone."""
+"""Every reason of the verdict is said where it is true, with right numbers, and not where its cause is gone.
 
+And copies of rows, rules of other packages, and the page of reasons.
+"""
+
+import dataclasses
 import re
+from importlib.metadata import EntryPoint
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import calib
+from calib.core.fitting.pose_checks import tied_joints
+from calib.core.judging import rules_model
 from calib.core.judging.next_step import next_step
 from calib.core.judging.reasons import Code
+from calib.core.judging.rules_data import copied_visits
+from calib.core.judging.verdict import judge
 from tests.core.judging.situations import GRADES, SIGMA, SITUATIONS, rms
+from tests.project import EXAMPLES, ROOT
 from tests.six_axis_arm import joints, measurements, noisy
 
 
@@ -40,6 +51,7 @@ def test_a_reason_is_said_where_it_is_true_and_not_without_its_cause(shop, code)
         ("beyond_curves", "worse_on_validation", "no_gain"),  # "no gain beyond the uncertainty" beside "worse"
         ("likely_mistake", "noise_as_large_as_robot", "systematic"),  # "the target sits 595 mm elsewhere on its link"
         ("equal_columns", "equal_columns", "instruments_disagree"),
+        ("poses_equal", "poses_equal", "noise_as_large_as_robot"),
     ],
 )
 def test_no_reason_stands_beside_what_it_contradicts(shop, code, cause, contradicted):
@@ -128,10 +140,6 @@ def test_where_one_reading_makes_such_noise_the_next_step_leaves_it_out(shop):
     assert next_step(fit).command == "calib fit ROBOT DATA --sigma-mm 0.04 --exclude-outliers --out DIR-2"
 
 
-def test_where_the_robot_did_not_move_its_noise_is_not_judged(shop):
-    assert codes_of(shop.situation(Code.POSES_EQUAL).there) == ["poses_equal"]
-
-
 def test_what_was_tried_is_kept_and_not_offered_again(shop):
     """Neither outliers nor terms explain what depends on two joints."""
     there = shop.situation(Code.BLOCKS_DISAGREE).there
@@ -142,3 +150,98 @@ def test_what_was_tried_is_kept_and_not_offered_again(shop):
     many = next_step(shop.situation(Code.MANY_EXCLUDED).there)
     assert many.command == "calib fit ROBOT DATA --exclude-outliers --out DIR-2"
     assert many.aim.startswith("correct the data")
+
+
+def with_copies(data, rows):
+    return data.subset(np.concatenate([np.arange(len(data)), rows]))
+
+
+def test_copies_are_named_whichever_of_them_are_held_out(arm):
+    data = with_copies(noisy(arm, joints(63), SIGMA, 1), [7, 30])
+    held_out = set()
+    for seed in range(3):
+        used, other = data.split(validation=0.25, seed=seed)
+        held_out.add(len(other) - other.n_poses)
+        verdict = calib.fit(arm, used, validation=other).verdict
+        assert (verdict.grade, verdict.reasons[0].code) == ("CHECK", "copied")
+        assert verdict.reasons[0].text.startswith("2 of 65 readings are copies")
+    assert held_out > {0}  # of some, the fit has used fewer than three in a hundred
+
+
+def test_one_copied_row_of_a_hundred_is_no_matter(arm):
+    verdict = calib.fit(arm, with_copies(noisy(arm, joints(99), SIGMA, 1), [7])).verdict
+    assert "copied" not in verdict.to_dict()["codes"]
+
+
+@pytest.mark.parametrize(("step", "scatter"), [(1e-7, 2e-5), (1e-4, 2e-5), (1e-4, 1e-6)])
+def test_honest_repeats_are_no_copies(arm, step, scatter):
+    """Twenty poses, each read three times: in fine steps, in steps coarser than they scatter, and without scatter."""
+    q = np.repeat(joints(20), 3, axis=0)
+    points = arm.positions(q) + scatter * np.random.default_rng(2).standard_normal((60, 1, 3))
+    data = measurements(arm, q, step * np.round(points / step))
+    assert len(copied_visits(arm, data)) == 0
+
+
+def test_copies_among_honest_repeats_are_found(arm):
+    q = np.repeat(joints(20), 2, axis=0)
+    points = arm.positions(q) + 2e-5 * np.random.default_rng(2).standard_normal((40, 1, 3))
+    data = with_copies(measurements(arm, q, 1e-7 * np.round(points / 1e-7)), [3, 4, 5])
+    np.testing.assert_array_equal(copied_visits(arm, data), [40, 41, 42])
+
+
+def nothing_that_works(fit):
+    raise KeyError("no such thing")
+
+
+def no_reasons(fit):
+    yield "it is warm"
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (f"{__name__}:nothing_that_works", "KeyError: 'no such thing'; mend or uninstall the package"),
+        (f"{__name__}:not_there", "AttributeError"),
+        (f"{__name__}:no_reasons", "yields something other than calib.core.judging.reasons.Reason"),
+    ],
+)
+def test_a_rule_of_another_package_that_does_not_work_is_named(shop, monkeypatch, value, said):
+    other = EntryPoint("warmth", value, "calib.reasons")
+    listed = {"calib.reasons": [other]}
+    monkeypatch.setattr("calib.core.judging.verdict.list_entry_points", lambda group: listed.get(group, []))
+    with pytest.raises(calib.InputError, match=re.escape(said)) as result:
+        judge(dataclasses.replace(shop.good, seconds=0.0))
+    assert str(result.value).startswith(f"reason 'warmth' of the verdict ({value}): ")
+
+
+def test_every_reason_has_a_row_of_the_page():
+    """The page of failures says what to do."""
+    page = (ROOT / "docs" / "howto" / "when_it_fails.md").read_text(encoding="utf-8")
+    rows = re.findall(r'^\| <a id="(\w+)"></a>\*\*\1\*\*: .+ \| .+ \|$', page, re.MULTILINE)
+    assert sorted(rows) == sorted(code.value for code in Code)
+
+
+@pytest.mark.parametrize("away", [0.0, 7e-5])
+def test_few_poses_show_a_gain_by_the_noise_that_is_stated(tmp_path, away):
+    """What few poses leave is no measure of chance: by that alone, origins that are 0.07 mm off each would be noise."""
+    (tmp_path / "arm.urdf").write_bytes((EXAMPLES / "arm.urdf").read_bytes())
+    (tmp_path / "arm.yaml").write_text(
+        "urdf: arm.urdf\nname_mot: [joint_1, joint_2, joint_3, joint_4, joint_5, joint_6]\nbase: {frame: base_link}\n"
+        "targets: {tip: {frame: flange}}\nparametrisation: [{origin: all, components: [x, z], sigma: 1 mm}]\n"
+        "sigma: 0.05 mm\n"
+    )
+    arm, rng = calib.load(tmp_path / "arm.yaml"), np.random.default_rng(3)
+    true = arm.with_parameters(arm.values + away * arm.is_free)
+    q = rng.uniform(-1, 1, (4, 6))
+    fit = calib.fit(arm, calib.as_measurements(arm, q, true.positions(q)[:, 0] + 5e-5 * rng.standard_normal((4, 3))))
+    assert fit.statistics.freedom < 4
+    codes = [reason.code for reason in rules_model.nothing_to_correct(fit)]
+    assert ("nothing_to_correct" in codes) == (away == 0.0)
+
+
+def test_of_eighteen_joints_only_those_that_are_tied_are_named():
+    """A linkage holds the sum of three passive joints, which an arm reads with all of its others."""
+    q = np.random.default_rng(2).uniform(-1, 1, (60, 18)) * np.linspace(0.1, 2.0, 18)
+    q[:, 11] = 0.4 - q[:, 4] - q[:, 8]
+    names = tuple(f"j{k + 1}" for k in range(18))
+    assert tied_joints(SimpleNamespace(joint_names=names), q) == [(("j5", "j9", "j12"), 2)]

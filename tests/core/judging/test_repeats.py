@@ -14,7 +14,7 @@ from calib.core.judging.repeatability import (
     repeatability,
     scatter_within_poses,
 )
-from calib.core.results.result_content import to_dict
+from calib.core.results.results import to_dict
 from tests.six_axis_arm import FREE, YAML, joints, write_six_axis
 
 

@@ -222,7 +222,7 @@ def test_an_unchanged_robot_has_not_drifted_at_poses_where_its_model_is_wrong(wo
         rng = np.random.default_rng(100 + seed)
         data = read(rng.uniform(*place, (40, 6)), rng)
         results.append(verify(fit, data))
-        by_noise = System.from_promise(Promise.from_calibration(fit), data, same_setup=False).changes()[0].p_value
+        by_noise = System.from_promise(Promise.from_calibration(fit), data, same_setup=False).changes[0].p_value
         assert (results[-1].verdict == "agrees") == (not results[-1].has_unlike_poses)
         assert results[-1].has_unlike_poses or by_noise >= 0.005
     assert {item.verdict for item in results} <= {"agrees", "unlike poses"}

@@ -1,12 +1,10 @@
 """Ways to closed configurations: far parameters, single poses, limits of another turn, joints without limits."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
 import calib
-from calib.core.robots import acceleration, continuation, kinematics
+from calib.core.robots import acceleration, continuation
 from calib.core.robots.closure import residual
 from calib.programs.reaching.goals import Goals
 from calib.programs.reaching.inverse import solve
@@ -67,15 +65,6 @@ def test_steps_tried_together_lead_where_steps_tried_one_after_the_other_lead(me
     assert np.nanmax(np.abs(together.passive - one_by_one.passive)) < 1e-9
 
 
-def test_loops_are_open_alike_one_by_one_and_together(medrue):
-    mechanism = medrue.mechanism
-    q = medrue.home + 0.1 * np.random.default_rng(7).normal(size=(5, 6))
-    swept = kinematics.sweep(mechanism, mechanism.all_joints(q, np.tile(medrue.mode.passive, (5, 1))), mechanism.loops)
-    values, maps = kinematics.gaps(swept), kinematics.gap_maps(swept)
-    assert np.allclose(values, np.hstack([kinematics.value(swept, loop) for loop in mechanism.loops]), atol=1e-14)
-    assert np.allclose(maps, np.hstack([kinematics.twist_map(swept, loop) for loop in mechanism.loops]), atol=1e-14)
-
-
 @pytest.mark.quick(2)
 @pytest.mark.parametrize("part", [1e-3, 1e-2, 0.1, 0.5])
 @pytest.mark.parametrize("compiled", [False, True])
@@ -96,14 +85,6 @@ def test_a_last_correction_that_is_not_checked_closes_the_loops(medrue, part, co
     assert np.allclose(solved, confirmed, rtol=0, atol=1e-12)
     assert from_seed.slope is None
     assert np.allclose(moved.singular_values(from_seed), moved.singular_values(moved.assemble(q)), rtol=1e-9)
-
-
-def test_robots_in_use_are_shared_by_threads(medrue):
-    q = np.array(target_workspace().q)[:60]
-    expected = medrue.positions(q)
-    with ThreadPoolExecutor(4) as threads:
-        result = list(threads.map(lambda _: medrue.positions(q), range(8)))
-    assert np.allclose(result, [expected] * 8, rtol=0, atol=1e-12)
 
 
 def test_limits_that_lie_a_turn_away_are_the_same_limits(five_bar, tmp_path):

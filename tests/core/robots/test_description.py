@@ -54,13 +54,11 @@ YAML_MISTAKES = {
     "target twice": ("tip:", "tip:\n  tip:", "key 'tip' is given twice"),
     "twice": ("arm.urdf", "arm.urdf\nurdf: other.urdf", "line 2: not valid YAML (key 'urdf' is given twice)"),
     "tab": ("base:", "\tbase:", "line 3: not valid YAML (found character '\\t' that cannot start any token)"),
-    "open list": ("[turn, slide, wrist]", "[turn, slide", "not valid YAML (expected ',' or ']'"),
     "braces": ("arm.urdf", "{{ robot }}", "line 1: not valid YAML (a key is a list or a mapping)"),
     "no such date": ("10 mm, 20 mm", "2020-13-45, 20 mm", "not valid YAML (month must be in 1..12)"),
     "control code": ("arm.urdf", "arm\x07.urdf", "not valid YAML (special characters are not allowed)"),
     "depth": ("arm.urdf", "[" * 5000, "not valid YAML (maximum recursion depth exceeded"),
     "python": ("arm.urdf", "!!python/name:os.system", "line 1: not valid YAML (could not determine a constructor"),
-    "anchor": ("arm.urdf", "*nowhere", "line 1: not valid YAML (found undefined alias"),
 }
 
 
@@ -80,10 +78,8 @@ KEY_MISTAKES = {
     "noise": ("urdf:", "sigma: {range: 1 mm, angl: 1 mrad}\nurdf:", "unknown key 'sigma.angl'; did you mean 'angle'?"),
     "fleet": ("urdf:", "fleet: {robot: 3}\nurdf:", "unknown key 'fleet.robot'; did you mean 'robots'?"),
     "missing": ("urdf: arm.urdf\n", "", "key 'urdf' is missing"),
-    "missing inside": ("{frame: ground}", "{pose: known}", "key 'base.frame' is missing"),
     "missing in a list": ("origin: all, components: [x", "components: [x", "key 'parametrisation[0].origin' is"),
     "number as key": ("urdf: arm.urdf", "urdf: arm.urdf\n3: 4", "key 3 should be text; put it in quotes"),
-    "number as target": ("tip:", "1:", "key 1 should be text; put it in quotes"),
     "truth as key": ("tip:", "true:", "key True should be text; put it in quotes"),
 }  # fmt: skip
 
@@ -96,22 +92,16 @@ VALUE_MISTAKES = {
     "two coordinates": ("[10 mm, 20 mm, 30 mm]", "[10 mm, 20 mm]", "targets.tip.xyz: entry 3 is missing"),
     "four coordinates": ("30 mm]", "30 mm, 40 mm]", "targets.tip.xyz: should have at most 3 entries, not 4"),
     "angle for a length": ("30 mm]", "30 deg]", "targets.tip.xyz[2]: unit 'deg' is for an angle; a length is expected"),
-    "unknown unit": ("30 mm]", "30 inch]", "targets.tip.xyz[2]: unknown unit 'inch'; valid: m, mm, um"),
     "nan": ("30 mm]", ".nan]", "targets.tip.xyz[2]: nan is not a finite number with a unit, such as '0.04 mm'"),
-    "decimal comma": ("30 mm]", "'3,5 mm']", "targets.tip.xyz[2]: '3,5 mm' is not a finite number with a unit"),
     "true": ("sigma: 2 mm", "sigma: true", "parametrisation[0].sigma: True is not a number with a unit"),
-    "nothing": ("sigma: 2 mm", "sigma:", "parametrisation[0].sigma: None is not a number with a unit"),
     "word": ("ground}", "ground, pose: unkown}", "base.pose: unknown value 'unkown'; did you mean 'unknown'?"),
     "component": ("[x, y, z]", "[x, yy, z]", "parametrisation[0].components[1]: unknown value 'yy'; did you mean 'y'?"),
     "mixed": ("[x, y, z]", "[x, ry, z]", "parametrisation[0]: lengths (x, y, z) and angles (rx, ry, rz) need entries"),
-    "no component": ("[x, y, z]", "[]", "parametrisation[0].components: should have at least 1 entries, not 0"),
     "sigma of a known target": ("30 mm]}", "30 mm], sigma: 1 mm}", "targets.tip: sigma is for a target whose position"),
     "negative sigma": ("urdf:", "sigma: -1 mm\nurdf:", "sigma: should be greater than 0 (given: '-1 mm')"),
     "limit": ("urdf:", "singularity_limit: 2\nurdf:", "singularity_limit: should be less than 1 (given: 2)"),
     "type without loop": ("urdf:", "type: [3d]\nurdf:", "'type' has 1 entries for 0 entries of 'closed_loop'"),
     "axes without loop": ("urdf:", "closed_loop_axes: [[x]]\nurdf:", "'closed_loop_axes' has 1 entries for 0 entries"),
-    "type": ("urdf:", "closed_loop: [[a, b]]\ntype: [4d]\nurdf:", "type[0]: unknown value '4d'; valid: 3d, 6d"),
-    "three ends": ("urdf:", "closed_loop: [[a, b, c]]\ntype: [3d]\nurdf:", "closed_loop[0]: should have at most 2"),
 }  # fmt: skip
 
 
@@ -134,7 +124,6 @@ URDF_MISTAKES = {
     "actuated": ("[turn,", "[turm,", "name_mot: no joint 'turm'; did you mean 'turn'?"),
     "fixed actuated": ("[turn,", "[flange,", "name_mot: joint 'flange' is fixed, it does not move"),
     "actuated twice": ("[turn,", "[turn, turn,", "'name_mot' names 'turn' twice"),
-    "held twice": ("urdf:", "held: [turn.x, turn.x]\nurdf:", "'held' names 'turn.x' twice"),
     "order": ("urdf:", "elimination_order: [turn.w]\nurdf:", "elimination_order: no parameter 'turn.w'; 'turn' has"),
     "columns": ("urdf:", "columns: {a: turn, b: turn}\nurdf:", "columns: 'a' and 'b' both stand for 'turn'"),
     "base": ("{frame: ground}", "{frame: grund}", "base.frame: no link or joint 'grund'; did you mean 'ground'?"),
@@ -147,7 +136,6 @@ URDF_MISTAKES = {
     "unit": ("sigma: 2 mm", "sigma: 2 mm, unit: inch", "parametrisation: turn.x, unit: unknown unit 'inch'; valid: m,"),
     "sigma": ("sigma: 2 mm", "sigma: 2 mrad", "parametrisation: turn.x, sigma: unit 'mrad' is for an angle; a length"),
     "zero sigma": ("sigma: 2 mm", "sigma: 0", "parametrisation: turn.x: sigma must be positive; leave a component out"),
-    "component twice": ("origin: all, components: [x, y", "origin: turn, components: [x, x", "parametrisation:"),
     "all twice": ("[rx, ry, rz]", "[rx, ry, rx]", "parametrisation: 'turn.rx' is listed twice"),
     "column": ("urdf:", "columns: {X: tip_w}\nurdf:", "columns.X: no column 'tip_w'; did you mean 'tip_"),
     "column unit": ("urdf:", "columns: {X: 'tip_x [deg]'}\nurdf:", "columns.X: unit 'deg' is for an angle; a length"),

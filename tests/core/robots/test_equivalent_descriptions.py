@@ -12,6 +12,7 @@ from calib.core.rows.frames import poses_around_home
 from calib.exporting.gap import poses_near_home
 from calib.matching.agreement import other_poses
 from tests.project import EXAMPLES
+from tests.urdf_trees import urdf_of
 
 SIGMA = 4e-5
 
@@ -28,46 +29,35 @@ class Link:
     split: bool = False
 
 
-CHAIN = tuple(
-    Link(f"j{k + 1}", xyz, rpy, axis)
-    for k, (xyz, rpy, axis) in enumerate(
-        [
-            ((0.02, 0.01, 0.40), (0.1, -0.2, 0.3), (0.0, 0.0, 1.0)),
-            ((0.05, 0.00, 0.10), (0.0, 0.3, 0.0), (0.0, 1.0, 0.0)),
-            ((0.00, 0.03, 0.60), (0.2, 0.0, -0.4), (0.0, 1.0, 0.0)),
-            ((0.20, 0.00, 0.05), (0.0, 0.1, 0.5), (1.0, 0.0, 0.0)),
-            ((0.40, 0.02, 0.00), (-0.3, 0.0, 0.2), (0.0, 1.0, 0.0)),
-            ((0.10, 0.00, 0.02), (0.4, 0.2, 0.0), (1.0, 0.0, 0.0)),
-        ]
-    )
+CHAIN = (
+    Link("j1", (0.02, 0.01, 0.40), (0.1, -0.2, 0.3), (0.0, 0.0, 1.0)),
+    Link("j2", (0.05, 0.00, 0.10), (0.0, 0.3, 0.0), (0.0, 1.0, 0.0)),
+    Link("j3", (0.00, 0.03, 0.60), (0.2, 0.0, -0.4), (0.0, 1.0, 0.0)),
+    Link("j4", (0.20, 0.00, 0.05), (0.0, 0.1, 0.5), (1.0, 0.0, 0.0)),
+    Link("j5", (0.40, 0.02, 0.00), (-0.3, 0.0, 0.2), (0.0, 1.0, 0.0)),
+    Link("j6", (0.10, 0.00, 0.02), (0.4, 0.2, 0.0), (1.0, 0.0, 0.0)),
 )
-
-
-def _text(numbers):
-    return " ".join(repr(float(number)) for number in numbers)
 
 
 def _urdf(chain, order):
     """The chain as a URDF whose joints stand in an order; a split joint has its translation in a fixed one."""
-    links, joints, before = ['<link name="world"/>'], [], "world"
+    joints, before = [], "world"
     for link in chain:
-        links.append(f'<link name="after_{link.name}"/>')
-        xyz, lines = link.xyz, ""
+        own, xyz = [], link.xyz
         if link.split:
-            links.append(f'<link name="to_{link.name}"/>')
-            lines = (
-                f'<joint name="fixed_{link.name}" type="fixed"><parent link="{before}"/>'
-                f'<child link="to_{link.name}"/><origin xyz="{_text(link.xyz)}"/></joint>\n'
-            )
+            own.append((f"fixed_{link.name}", "fixed", before, f"to_{link.name}", _element("origin", xyz=link.xyz)))
             before, xyz = f"to_{link.name}", (0.0, 0.0, 0.0)
-        joints.append(
-            f'{lines}<joint name="{link.name}" type="revolute"><parent link="{before}"/>'
-            f'<child link="after_{link.name}"/><origin xyz="{_text(xyz)}" rpy="{_text(link.rpy)}"/>'
-            f'<axis xyz="{_text(link.sign * np.array(link.axis))}"/>'
-            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
-        )
+        origin, axis = _element("origin", xyz=xyz, rpy=link.rpy), _element("axis", xyz=link.sign * np.array(link.axis))
+        own.append((link.name, "revolute", before, f"after_{link.name}", origin, axis))
+        joints.append(own)
         before = f"after_{link.name}"
-    return "\n".join(['<robot name="arm">', *reversed(links), *(joints[k] for k in order), "</robot>"]), before
+    links = [f"after_{link.name}" for link in reversed(chain)]
+    return urdf_of(*(joint for k in order for joint in joints[k]), links=links), before
+
+
+def _element(tag, **numbers):
+    """An element with attributes of numbers, all their digits."""
+    return f"<{tag} " + " ".join(f'{key}="{" ".join(map(repr, map(float, n)))}"' for key, n in numbers.items()) + "/>"
 
 
 def _measured(truth, q, rng):
@@ -82,27 +72,29 @@ def _robot(folder, chain, order):
     urdf, last = _urdf(chain, order)
     names = [chain[k].name for k in order]
     (folder / "arm.urdf").write_text(urdf)
+    free = [
+        f"  - {{origin: {name}, components: [{components}], sigma: {sigma}}}\n"
+        for name in names
+        for components, sigma in (("x, y, z", "2 mm"), ("rx, ry, rz", "5 mrad"))
+    ]
     (folder / "arm.yaml").write_text(
         f"urdf: arm.urdf\nname_mot: [{', '.join(names)}]\nbase: {{frame: world, pose: unknown}}\n"
         f"targets: {{ball: {{frame: {last}, xyz: [50 mm, 20 mm, 100 mm]}}}}\nsigma: 0.04 mm\nparametrisation:\n"
-        + "".join(
-            f"  - {{origin: {name}, components: [x, y, z], sigma: 2 mm}}\n"
-            f"  - {{origin: {name}, components: [rx, ry, rz], sigma: 5 mrad}}\n"
-            for name in names
-        )
+        + "".join(free)
     )
     return calib.load(folder / "arm.yaml")
 
 
 def _in_another_way(link, what, k):
     roll, pitch, yaw = link.rpy
-    return {
-        "renamed": lambda: dataclasses.replace(link, name=f"{'zyxwvu'[k]}{k}"),
-        "reversed": lambda: dataclasses.replace(link, sign=-1.0 if k in (0, 2, 3) else 1.0),
-        "other angles": lambda: dataclasses.replace(link, rpy=(roll + np.pi, np.pi - pitch, yaw + np.pi)),
-        "split": lambda: dataclasses.replace(link, split=k in (1, 4)),
-        "order": lambda: link,
-    }[what]()
+    changes = {
+        "renamed": {"name": f"{'zyxwvu'[k]}{k}"},
+        "reversed": {"sign": -1.0 if k in (0, 2, 3) else 1.0},
+        "other angles": {"rpy": (roll + np.pi, np.pi - pitch, yaw + np.pi)},
+        "split": {"split": k in (1, 4)},
+        "order": {},
+    }
+    return dataclasses.replace(link, **changes[what])
 
 
 @pytest.fixture(scope="module")

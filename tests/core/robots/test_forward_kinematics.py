@@ -42,27 +42,22 @@ def test_random_trees_have_the_same_forward_kinematics_as_in_yourdfpy(tmp_path):
             assert_same_kinematics_as_yourdfpy(robot, path, generator)
 
 
-EXAMPLES = {
-    "motoman_right/robot.urdf": "shared",
-    "ur10/robot.urdf": "shared",
-    "mukca/urdf/iiwa14.urdf": "shared",
-    "mukca/urdf/panda.urdf": "shared",
-    "ur_description/urdf/ur5_robot.urdf": "examples",
-    "talos_data/robots/talos_full_v2.urdf": "examples",
-    "tiago_description/robots/tiago_dual.urdf": "examples",
-    "double_pendulum_description/urdf/double_pendulum_continuous.urdf": "examples",
-    "hector_description/robots/quadrotor_base.urdf": "examples",
-    "panda_description/urdf/panda.urdf": "examples",
-}
+EXAMPLES = (
+    "ur_description/urdf/ur5_robot.urdf",
+    "talos_data/robots/talos_full_v2.urdf",
+    "tiago_description/robots/tiago_dual.urdf",
+    "double_pendulum_description/urdf/double_pendulum_continuous.urdf",
+    "hector_description/robots/quadrotor_base.urdf",
+    "panda_description/urdf/panda.urdf",
+)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_real_robots_have_the_same_forward_kinematics_as_in_yourdfpy(name, request, tmp_path):
-    folder = request.getfixturevalue("shared_data") if EXAMPLES[name] == "shared" else EXAMPLE_ROBOTS
-    if not folder.is_dir():
+def test_real_robots_have_the_same_forward_kinematics_as_in_yourdfpy(name, tmp_path):
+    if not EXAMPLE_ROBOTS.is_dir():
         pytest.skip("the package example-robot-data is not installed")
     path = tmp_path / "robot.urdf"
-    path.write_bytes((folder / name).read_bytes())
+    path.write_bytes((EXAMPLE_ROBOTS / name).read_bytes())
     urdf = calib.core.robots.urdf.text.read_urdf(path)
     moving = [j.name for j in urdf.joints if j.type in ("revolute", "continuous", "prismatic") and j.mimic is None]
     if not moving:

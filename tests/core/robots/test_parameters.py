@@ -50,14 +50,6 @@ def test_twists_of_origin_components_are_the_derivative_of_the_placements(tmp_pa
             assert np.abs(twists[name] - twist).max() < DIFFERENCE_ERROR * (1 + np.abs(twist).max()), name
 
 
-def test_twists_of_a_plugin_are_the_derivative_of_the_placements(medrue):
-    generator = np.random.default_rng(2)
-    values = medrue.values + generator.uniform(-2e-3, 2e-3, len(medrue.values))
-    twists, expected = medrue.parametrisation.twists(values), differences(medrue.parametrisation, values)
-    for name in expected:
-        assert np.abs(twists[name] - expected[name]).max() < 1e-8, name  # anchors 0.1 m apart: larger third derivatives
-
-
 def test_a_translation_moves_the_origin_in_the_parent_and_a_rotation_turns_it_in_its_own_frame(tmp_path):
     robot = calib.load(write_arm(tmp_path, EVERYTHING))
     nominal = Rotation.from_euler("xyz", [0, np.pi / 2, 0]).as_matrix()  # rpy of the wrist; fixed axes
@@ -140,18 +132,6 @@ def test_an_edited_component_changes_its_number_and_no_other_byte(tmp_path):
     moved = robot.with_parameters({"wrist.y": -1e-3}).calibrated_urdf()
     assert moved == source.replace(b'"0.125 0 0.0"', b'"0.125 -0.001 0.0"')
     assert robot.with_parameters({"base.x": 3.0, "tip.x": 0.5}).calibrated_urdf() == source  # not in the URDF
-
-
-def test_twist_of_edit_is_the_derivative_of_the_origin():
-    generator = np.random.default_rng(6)
-    rpy, xyz = np.array([0.3, -1.2, 2.0]), np.array([0.1, 0.2, 0.3])
-    d_xyz, d_rpy = generator.normal(size=(3, 4)), generator.normal(size=(3, 4))
-    twist = twist_of_edit(rpy, d_xyz, d_rpy)
-    here = Origin(xyz, rpy).placement
-    for k in range(4):
-        ends = [Origin(xyz + s * d_xyz[:, k], rpy + s * d_rpy[:, k]).placement for s in (STEP, -STEP)]
-        forward, backward = (pin.log6(here.actInv(end)).vector for end in ends)
-        assert np.abs(twist[:, k] - (forward - backward) / (2 * STEP)).max() < 1e-8
 
 
 def test_an_unknown_parameter_names_the_nearest(medrue):

@@ -41,7 +41,27 @@ def test_every_joint_origin_on_the_way_is_free_with_default_priors(tmp_path):
     assert all(p.prior for p in origins)
     assert {p.sigma_si for p in origins if p.dimension == "length"} == {0.002}
     assert {p.sigma_si for p in origins if p.dimension == "angle"} == {0.005}
-    assert not any(p.prior for p in robot.parameters if p.placement)
+    places = [p for p in robot.parameters if p.placement]
+    assert [p.sigma_si for p in places if p.prior] == [0.5] * 3  # the target's; nothing is known of the base
+    assert len(places) == 9
+
+
+def test_an_arm_whose_tool_never_tilts_is_fitted_as_it_is(tmp_path):
+    up = '<axis xyz="0 0 1"/>'
+    robot = plain(
+        tmp_path,
+        ("a", "revolute", "0", "1", '<origin xyz="0 0 0.4"/>', up),
+        ("b", "revolute", "1", "2", '<origin xyz="0.3 0 0"/>', up),
+        ("c", "prismatic", "2", "3", '<origin xyz="0.25 0 0"/>', up),
+        ("d", "revolute", "3", "4", '<origin xyz="0 0 -0.05"/>', up),
+    )
+    low, high = np.array([[-2, -2, 0, -3], [2, 2, 0.2, 3]])
+    q = np.random.default_rng(0).uniform(low, high, (40, 4))
+    fit = calib.fit(
+        robot, calib.simulate(robot, q, 5e-5, 1)
+    )  # heights of base and tool are told from each other by sigma
+    assert fit.verdict.grade == "PASS"
+    assert fit.rms < 1e-4
 
 
 ARMS = (("left", "revolute", "3", "hand_1"), ("right", "revolute", "3", "hand_2"))

@@ -36,13 +36,9 @@ def correlated_pairs(fit: Fit) -> list[dict[str, object]]:
     names = fit.free_names
     with np.errstate(invalid="ignore"):
         pairs = np.argwhere(np.triu(np.abs(correlations) >= CORRELATED, k=1))
-    outside_curves = fit.unknowns.family < 0  # coefficients of one curve belong together anyway
-    rows = [
-        {"a": names[i], "b": names[j], "correlation": float(correlations[i, j])}
-        for i, j in pairs
-        if outside_curves[i] and outside_curves[j]
-    ]
-    return sorted(rows, key=lambda row: -abs(float(str(row["correlation"]))))
+    pairs = pairs[np.all(fit.unknowns.family[pairs] < 0, axis=1)]  # coefficients of one curve belong together anyway
+    strongest = pairs[np.argsort(-np.abs(correlations[tuple(pairs.T)]), kind="stable")]
+    return [{"a": names[i], "b": names[j], "correlation": float(correlations[i, j])} for i, j in strongest]
 
 
 def determined_lines(fit: Fit) -> list[str]:

@@ -34,14 +34,12 @@ _HOUR = 3600.0
 class OneCoefficient(JointTerm):
     """A term with one coefficient, dq = c phi, named after its joint and the term.
 
-    Attributes:
-        source: Quantity that phi is proportional to, for the term's own joint if there is one for each (class
-            attribute).
-        factor: Factor from this quantity to phi (class attribute).
-        word: Last part of the coefficient's name (class attribute).
-        expected_angle: Expected size of the coefficient of a joint that turns, where nothing is stated [rad] (class
-            attribute).
-        expected_length: The same for a joint that slides [m] (class attribute).
+    Attributes of the class:
+        source: Quantity that phi is proportional to, for the term's own joint if there is one for each.
+        factor: Factor from this quantity to phi.
+        word: Last part of the coefficient's name.
+        expected_angle, expected_length: Expected size of the coefficient of a joint that turns [rad] or slides [m],
+            where nothing is stated.
     """
 
     source: ClassVar[Source]

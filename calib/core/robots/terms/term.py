@@ -123,6 +123,11 @@ class Context(ReadOnlyArrays):
     torque: FloatArray | None = None
     others: Mapping[str, FloatArray] = field(default_factory=dict)
 
+    @property
+    def setup_numbers(self) -> IntArray:
+        """Number of the setup of each command, (n,)."""
+        return np.zeros(len(self.time), dtype=np.intp) if self.setups is None else self.setups
+
     def column(self, name: str) -> FloatArray:
         """Return the values of a column that a term names, (n,) [SI]; 0 where not known."""
         return self.others.get(name, np.zeros(len(self.time)))
@@ -153,13 +158,10 @@ class Context(ReadOnlyArrays):
     def from_conditions(
         approach: FloatArray, conditions: Mapping[str, FloatArray], setups: IntArray | None = None
     ) -> Context:
-        """Return the context of visits.
+        """Return the context of visits, with directions of approach (n, n_actuated), and setups (n,).
 
-        Args:
-            approach: Direction of approach, (n, n_actuated).
-            conditions: Columns `time` [s], `temperature` [degC], `load` [kg], those of
-                `calib.core.robots.terms.gravity`, and those that terms name, as far as they are known, (n,).
-            setups: Number of the setup, (n,); None: the first.
+        `conditions` are columns `time` [s], `temperature` [degC], `load` [kg], those of
+        `calib.core.robots.terms.gravity`, and those that terms name, as far as they are known, (n,).
         """
         n = len(approach)
 
@@ -174,23 +176,24 @@ class Context(ReadOnlyArrays):
 class JointTerm(ABC):
     """One term of one joint's error. A class defines its columns, or a formula for them.
 
+    Attributes of the class:
+        section: Keys of its entry in a robot description.
+        needs_torque: Whether it depends on `Context.torque`.
+        tilts: Whether it tilts the link after its joint, instead of moving the joint.
+        adds: Whether its columns times its coefficients are errors of joints; if not, it acts on those of other terms,
+            and its columns are the derivative of these by its coefficients.
+        cause: Its name in an error budget.
+        depends_on: Conditions that its columns change with. With the direction of approach, columns change their sign.
+        per: Denominator of a coefficient's unit, such as `per hour`.
+        follows_command: Whether its columns change with the command of its joint, so that one that did not move does
+            not show it.
+        counts_turns: Whether a whole turn of the joint that it follows changes its columns.
+        in_auto: Whether it is tried if a robot's terms are not named.
+        differs: Whether its size differs between joints: a ratio or a belt is wrong at one of them.
+
     Attributes:
-        section: Keys of its entry in a robot description (class attribute).
         joint: The joint.
         parameters: Its coefficients.
-        needs_torque: Whether it depends on `Context.torque` (class attribute).
-        tilts: Whether it tilts the link after its joint, instead of moving the joint (class attribute).
-        adds: Whether its columns times its coefficients are errors of joints; if not, it acts on those of other terms,
-            and its columns are the derivative of these by its coefficients (class attribute).
-        cause: Its name in an error budget (class attribute).
-        depends_on: Conditions that its columns change with (class attribute). With the direction of approach, columns
-            change their sign.
-        per: Denominator of a coefficient's unit, such as `per hour` (class attribute).
-        follows_command: Whether its columns change with the command of its joint, so that one that did not move does
-            not show it (class attribute).
-        counts_turns: Whether a whole turn of the joint that it follows changes its columns (class attribute).
-        in_auto: Whether it is tried if a robot's terms are not named (class attribute).
-        differs: Whether its size differs between joints: a ratio or a belt is wrong at one of them (class attribute).
     """
 
     section: ClassVar[type[TermSection]] = TermSection
@@ -210,11 +213,7 @@ class JointTerm(ABC):
     @classmethod
     @abstractmethod
     def from_section(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
-        """Return the term of an entry of a robot description.
-
-        Args:
-            joint: The joint.
-            sigma: Its sigma [m or rad], or None.
+        """Return the term of an entry of a robot description, with its sigma [m or rad] or None.
 
         Raises:
             ValueError: The entry does not fit the joint.
@@ -222,12 +221,7 @@ class JointTerm(ABC):
 
     @classmethod
     def entries(cls, term: str, joints: Sequence[str], actuated: Sequence[str]) -> tuple[TermSection, ...]:
-        """Return the entries that are tried if a robot's terms are not named.
-
-        Args:
-            joints: The joints that can show it.
-            actuated: All actuated joints.
-        """
+        """Return the entries that are tried if a robot's terms are not named; `joints` are those that can show it."""
         named = ["all"] if len(joints) == len(actuated) else joints
         return tuple(cls.section(joint=name, term=term) for name in named)
 
@@ -241,11 +235,7 @@ class JointTerm(ABC):
         return section.joint in ("all", self.joint)
 
     def driven_joint_names(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
-        """Return the names of the driven joints whose errors depend on the term.
-
-        Args:
-            dimensions: Dimensions of the actuated joints, by name.
-        """
+        """Return the names of the driven joints whose errors depend on the term; `dimensions` of joints by name."""
         return tilts_of(self.joint, dimensions[self.joint]) if self.tilts else (self.joint,)
 
     def driving_joint(self, actuated: tuple[str, ...]) -> str:
@@ -255,9 +245,8 @@ class JointTerm(ABC):
     def formula(self, j: int) -> Formula | None:
         """Return phi of the coefficients as data, to write it in other languages; None if there is no formula.
 
-        Args:
-            j: Index of the term's joint among the actuated joints; for a term that tilts, index of one of its
-                rotations among the driven joints.
+        `j` is the index of the term's joint among the actuated joints; for a term that tilts, of one of its rotations
+        among the driven joints.
         """
         return None
 
@@ -278,13 +267,9 @@ class JointTerm(ABC):
         return formula.columns(context.inputs(q))
 
     def torque_derivative(self, q: FloatArray, j: int, context: Context, rate: FloatArray) -> FloatArray:
-        """Return the derivative of phi along a change of the torque, (n, n_coefficients), for terms with torque.
+        """Return the derivative of phi along a change `rate` of the torque (n, n_driven), (n, n_coefficients).
 
-        It follows from the formula, or without one from a central difference.
-
-        Args:
-            q, j, context: As in `columns`.
-            rate: Change of the torque, (n, n_driven).
+        It follows from the formula, or without one from a central difference; other arguments as in `columns`.
         """
         formula, largest = self.formula(j), float(np.max(np.abs(rate), initial=0.0))
         if isinstance(formula, Proportional) and formula.knee:
@@ -297,10 +282,7 @@ class JointTerm(ABC):
         return np.asarray((ends[0] - ends[1]) / (2 * step))
 
     def reads(self) -> tuple[str, ...]:
-        """Return the names of columns of pure numbers that this term depends on, other than its class's conditions.
-
-        `Context.column` returns their values.
-        """
+        """Return the names of further columns of pure numbers that this term depends on; see `Context.column`."""
         return ()
 
     @classmethod
@@ -309,13 +291,9 @@ class JointTerm(ABC):
         return not cls.depends_on and cls.reads is JointTerm.reads
 
     def states_by_order(self, q: FloatArray) -> Mapping[str, FloatArray]:
-        """Return values for columns of `reads` that follow from the order of commands, if a file does not state them.
+        """Return values for columns of `reads`, (n,) by name, that a file need not state.
 
-        Args:
-            q: Commands of its joint in their order, (n,) [m or rad].
-
-        Returns:
-            (n,) by name.
+        They follow from the order of the commands q of its joint, (n,) [m or rad].
         """
         return {}
 
@@ -334,10 +312,8 @@ UNIT: dict[Dimension, str] = {"angle": "mrad", "length": "mm"}
 
 
 def coefficient(name: str, dimension: Dimension, sigma: float, family: str = "") -> Parameter:
-    """Return the parameter of a coefficient, nominally zero.
+    """Return the parameter of a coefficient, nominally zero, of expected size sigma [m or rad].
 
-    Args:
-        sigma: Expected size [m or rad].
-        family: Name of a family of coefficients whose common size is found from the data; empty: sigma is used.
+    `family` names coefficients whose common size is found from the data; empty: sigma is used.
     """
     return Parameter(name, dimension, 0.0, sigma, UNIT[dimension], family=family)

@@ -15,17 +15,7 @@ from calib.core.base.errors import DescriptionError, InputError, nearest
 from calib.core.base.other_words import hint_for
 from calib.core.base.registry import Registry, entry
 from calib.core.base.units import Dimension
-from calib.core.robots.terms.one_coefficient import (
-    Backlash,
-    Bending,
-    Compliance,
-    Coupling,
-    Drift,
-    Gain,
-    GravityBacklash,
-    Temperature,
-)
-from calib.core.robots.terms.periodic import Curve, Harmonics
+from calib.core.robots.terms import one_coefficient, periodic
 from calib.core.robots.terms.term import CONTEXT, JointTerm, TermSection
 
 TERMS: Registry[JointTerm] = Registry(
@@ -33,16 +23,16 @@ TERMS: Registry[JointTerm] = Registry(
     "calib.terms",
     JointTerm,  # type: ignore[type-abstract]
     {
-        "gain": Gain,
-        "harmonics": Harmonics,
-        "curve": Curve,
-        "backlash": Backlash,
-        "coupling": Coupling,
-        "drift": Drift,
-        "temperature": Temperature,
-        "compliance": Compliance,
-        "bending": Bending,
-        "gravity_backlash": GravityBacklash,
+        "gain": one_coefficient.Gain,
+        "harmonics": periodic.Harmonics,
+        "curve": periodic.Curve,
+        "backlash": one_coefficient.Backlash,
+        "coupling": one_coefficient.Coupling,
+        "drift": one_coefficient.Drift,
+        "temperature": one_coefficient.Temperature,
+        "compliance": one_coefficient.Compliance,
+        "bending": one_coefficient.Bending,
+        "gravity_backlash": one_coefficient.GravityBacklash,
     },
     either=("columns", "formula"),
 )

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from calib.core.base.errors import DescriptionError, require_known
@@ -191,7 +192,7 @@ class _Tree:
         return min(self.distance[joint.parent] for joint in joints) - self.distance[first.child]
 
 
-def _moving(joints: list[UrdfJoint] | tuple[UrdfJoint, ...]) -> list[UrdfJoint]:
+def _moving(joints: Iterable[UrdfJoint]) -> list[UrdfJoint]:
     return [joint for joint in joints if joint.moves]
 
 

@@ -79,21 +79,7 @@ class UrdfJoint:
 
 
 class UrdfReader:
-    """Collects a URDF's content while expat walks through it.
-
-    Args:
-        source: The file's bytes.
-        path: For messages.
-
-    Attributes:
-        name: The robot's name.
-        links, joints: Links and joints in file order.
-        root_span: Bytes of the `<robot>` start tag.
-        end: Byte at which `</robot>` starts.
-
-    Raises:
-        UrdfError: Not XML, not a URDF, or not one tree.
-    """
+    """Collects the content of a `UrdfText` as expat walks through it; `UrdfError` if it is not a URDF, or no tree."""
 
     def __init__(self, source: bytes, path: str) -> None:
         self.source, self.path = source, path
@@ -107,10 +93,10 @@ class UrdfReader:
         self._parser.StartElementHandler = self._start
         self._parser.EndElementHandler = self._end
         self._parser.EntityDeclHandler = self._entity
-        self._run()
-        check_tree(self.path, self.links, self.joints)
+        self._parse()
+        _check_tree(path, self.links, self.joints)
 
-    def _run(self) -> None:
+    def _parse(self) -> None:
         if self.source.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\x00" in self.source[:64]:
             raise UrdfError(f"{self.path}: UTF-16 or binary, not a text URDF; save it as UTF-8")
         try:
@@ -200,10 +186,8 @@ class UrdfReader:
             lower = self._number(attributes.get("lower", "0"), f"{where}, lower limit")
             upper = self._number(attributes.get("upper", "0"), f"{where}, upper limit")
             if lower > upper:
-                raise UrdfError(
-                    f"{self.path}, {where}: the lower limit {lower:g} is above the upper one {upper:g};"
-                    " correct the <limit>"
-                )
+                high = f"the lower limit {lower:g} is above the upper one {upper:g}"
+                raise UrdfError(f"{self.path}, {where}: {high}; correct the <limit>")
             joint["lower"] = -math.inf if lower < -_LARGEST else lower  # programs write such numbers for "none"
             joint["upper"] = math.inf if upper > _LARGEST else upper
             if lower == upper == 0.0 and joint["type"] in MOVING_TYPES:
@@ -266,7 +250,7 @@ class UrdfReader:
         return value
 
 
-def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
+def _check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
     """Raise `UrdfError` unless links and joints have unique names and form exactly one tree."""
     if len(links) > MOST_LINKS:
         raise UrdfError(f"{path}: has {len(links)} links, more than {MOST_LINKS}; cut the file down to the arm")
@@ -276,11 +260,11 @@ def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
         repeated = [name for name, count in Counter(given).items() if count > 1]
         if repeated:
             raise UrdfError(f"{path}: {kind} '{repeated[0]}' is defined twice; names must be unique")
-    known, names = set(links), {joint.name for joint in joints}
+    names = {joint.name for joint in joints}
     parent_of: dict[str, UrdfJoint] = {}
     for joint in joints:
         for side in (joint.parent, joint.child):
-            require_known(side, known, f"{path}, joint '{joint.name}': no link", UrdfError)
+            require_known(side, links, f"{path}, joint '{joint.name}': no link", UrdfError)
         if joint.child in parent_of:
             raise UrdfError(
                 f"{path}: link '{joint.child}' is the child of joints '{parent_of[joint.child].name}'"
@@ -293,20 +277,18 @@ def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
     if len(roots) != 1:
         fault = "joints form a ring, no root link" if not roots else f"several root links: {', '.join(roots[:5])}"
         raise UrdfError(f"{path}: {fault}; a URDF is one tree")
-    if len(from_root(roots[0], joints)) < len(joints):
-        reached = {roots[0], *(joint.child for joint in from_root(roots[0], joints))}
-        lost = next(link for link in links if link not in reached)
+    reached = {roots[0], *(joint.child for joint in from_root(roots[0], joints))}
+    lost = next((link for link in links if link not in reached), None)
+    if lost is not None:
         raise UrdfError(f"{path}: link '{lost}' is its own ancestor; a URDF is one tree")
 
 
 def from_root(root: str, joints: Sequence[UrdfJoint]) -> list[UrdfJoint]:
     """Return joints that the root link carries, parents first, otherwise in file order."""
-    children: dict[str, list[UrdfJoint]] = {}
-    for joint in joints:
-        children.setdefault(joint.parent, []).append(joint)
     order, waiting = list[UrdfJoint](), [root]
     while waiting:
-        carried = children.get(waiting.pop(0), [])
+        link = waiting.pop(0)
+        carried = [joint for joint in joints if joint.parent == link]
         order += carried
         waiting = [joint.child for joint in carried] + waiting
     return order

@@ -22,7 +22,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DescriptionError, UrdfError, require_known
+from calib.core.base.errors import DescriptionError, UrdfError
 from calib.core.base.files import read_bytes
 from calib.core.base.registry import list_entry_points, load_named
 from calib.core.robots.urdf.reader import NUMBER, UNSUPPORTED_TYPES, Span, Triple, UrdfJoint, UrdfReader, from_root
@@ -75,8 +75,7 @@ class UrdfText:
         source: The file's bytes.
         path: Its file, for messages.
         name: The robot's name.
-        links: Link names in file order.
-        joints: Joints in file order.
+        links, joints: In file order.
         root_span: Bytes of the `<robot>` start tag.
         end: Byte at which `</robot>` starts.
         foreign: Motors and loops of a file of another format.
@@ -112,15 +111,12 @@ class UrdfText:
         """Return the file with the `xyz` [m] and `rpy` [rad] of the named joints' origins replaced.
 
         Numbers that do not change keep their spelling; a missing `<origin>` or attribute is added only if needed.
-        `UrdfError` for an unknown joint, a number that is not finite, or an origin that the file cannot hold.
+        `UrdfError` for a number that is not finite, or an origin that the file cannot hold.
         """
-        by_name = {joint.name: joint for joint in self.joints}
         edits: list[Edit] = []
-        for name, (xyz, rpy) in origins.items():
-            require_known(name, by_name, f"{self.path}: no joint", UrdfError)
-            if not all(math.isfinite(value) for value in (*xyz, *rpy)):
-                raise UrdfError(f"{self.path}, joint '{name}': the new origin {xyz} {rpy} is not finite")
-            edits.extend(self._origin_edits(by_name[name], xyz, rpy))
+        for joint in self.joints:
+            if joint.name in origins:
+                edits += self._origin_edits(joint, *origins[joint.name])
         if not edits:
             return self.source
         result = apply_edits(self.source, edits)

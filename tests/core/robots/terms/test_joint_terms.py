@@ -6,10 +6,8 @@ import pytest
 import calib
 from calib.core.fitting.terms.candidate_terms import candidates
 from calib.core.fitting.terms.joint_curves import joint_curves
-from calib.core.robots.jacobian import linearise
 from calib.core.robots.terms.term import Context
 from calib.core.robots.terms.terms import parse_terms
-from calib.core.rows.observed import observe, predict_readings
 from tests.kind_checks import assert_positions_move_as_differences_say
 from tests.project import EXAMPLES, ROOT, copied, write_table
 from tests.public_data import ur10_tracker
@@ -103,13 +101,6 @@ def test_derivatives_by_coefficients_agree_with_differences_through_the_loop(fiv
     q = near_home(robot, 7, 5)
     context = Context.from_conditions(np.sign(rng.standard_normal(q.shape)), {})
     assert_positions_move_as_differences_say(robot, q, context)
-
-
-def test_readings_and_positions_have_the_same_derivatives(five_bar):
-    configurations = five_bar.assemble(near_home(five_bar, 5, 6))
-    observed = observe(five_bar, configurations, predict_readings(five_bar, configurations))
-    by_target = linearise(five_bar, configurations).jacobian[:, 0]
-    assert np.allclose(next(iter(observed.values())).jacobian, by_target, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -95,19 +95,6 @@ def test_which_joints_are_the_arm(joints, expected):
     assert {name: getattr(chain, name) for name in expected} == expected
 
 
-@pytest.mark.parametrize(
-    ("name", "base", "target", "fingers"),
-    [
-        ("mukca/urdf/panda.urdf", "panda_link0", "ball_link", ("panda_finger_joint1", "panda_finger_joint2")),
-        ("mukca/urdf/iiwa14.urdf", "base_link", "ball_link", ()),
-        ("motoman_right/robot.urdf", "l0", "flange", ()),
-    ],
-)
-def test_arms_that_others_measured(shared_data, name, base, target, fingers):
-    chain = arm_chain(parse_urdf((shared_data / name).read_bytes()))
-    assert (chain.base, chain.target, len(chain.joints), chain.fingers) == (base, target, 7, fingers)
-
-
 def without_limits(names, *joints):
     """The chain of a robot, of which these joints have a limit without lower and upper."""
     text = urdf_of(*joints)

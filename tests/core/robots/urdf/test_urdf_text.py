@@ -2,16 +2,11 @@
 
 import math
 import re
-from pathlib import Path
 
-import numpy as np
 import pytest
 
 from calib.core.base.errors import UrdfError
-from calib.core.robots.urdf.text import UrdfText, parse_urdf, read_urdf
-from tests.project import ROOT
-
-URDF = ROOT / "urdf" / "medrue.urdf"
+from calib.core.robots.urdf.text import parse_urdf, read_urdf
 
 UGLY = """<?xml version="1.0" ?>
 <!-- made by hand: <origin xyz="9 9 9"/> in a comment is not an origin -->
@@ -55,15 +50,15 @@ VARIANTS = {
 
 
 @pytest.fixture(params=VARIANTS, ids=lambda name: name.replace(" ", "_"))
-def ugly(request: pytest.FixtureRequest) -> UrdfText:
+def ugly(request):
     return parse_urdf(VARIANTS[request.param], "ugly.urdf")
 
 
-def as_asked(urdf: UrdfText) -> dict:
+def as_asked(urdf):
     return {joint.name: (joint.xyz, joint.rpy) for joint in urdf.joints}
 
 
-def test_reads_everything_that_people_write(ugly: UrdfText) -> None:
+def test_reads_everything_that_people_write(ugly):
     assert ugly.name == "garçon"
     assert ugly.root == "l1"
     assert ugly.links == ("schlitten", "l3", "l4", "l5", "l1")
@@ -77,13 +72,13 @@ def test_reads_everything_that_people_write(ugly: UrdfText) -> None:
     assert (wheel.lower, wheel.upper) == (-math.inf, math.inf)
 
 
-def test_nothing_changes_where_nothing_is_edited(ugly: UrdfText) -> None:
+def test_nothing_changes_where_nothing_is_edited(ugly):
     assert ugly.with_origins(as_asked(ugly)) == ugly.source
     assert ugly.with_origins({}) == ugly.source
 
 
 @pytest.mark.parametrize("joint", ["überschlitten", "follower", "loose", "wheel"])
-def test_an_edit_reads_back_and_touches_nothing_but_its_origin(ugly: UrdfText, joint: str) -> None:
+def test_an_edit_reads_back_and_touches_nothing_but_its_origin(ugly, joint):
     new = ((0.1, -2.0, 1 / 3), (1e-9, 0.25, -3.0))
     edited = ugly.with_origins({joint: new})
     expected = as_asked(ugly) | {joint: new}
@@ -98,33 +93,19 @@ def test_an_edit_reads_back_and_touches_nothing_but_its_origin(ugly: UrdfText, j
         assert edited.replace(added.group(), b"", 1) == ugly.source
 
 
-def test_numbers_of_an_edited_origin_that_stay_keep_their_spelling() -> None:
+def test_numbers_of_an_edited_origin_that_stay_keep_their_spelling():
     urdf = parse_urdf(VARIANTS["as written"])
     edited = urdf.with_origins({"überschlitten": ((1.0, -0.125, 0.5), (0.1, -0.25, 1e-5))})
     assert edited == urdf.source.replace(b'"1.000  -0 .5"', b'"1.000  -0.125 .5"')
 
 
-def test_a_missing_origin_is_added_on_its_own_line_with_the_line_ends_of_the_file() -> None:
+def test_a_missing_origin_is_added_on_its_own_line_with_the_line_ends_of_the_file():
     source = (
         b'<robot name="r">\r\n  <link name="a"/>\r\n  <link name="b"/>\r\n  <joint name="j" type="fixed">\r\n'
         b'    <parent link="a"/>\r\n    <child link="b"/>\r\n  </joint>\r\n</robot>\r\n'
     )
     edited = parse_urdf(source).with_origins({"j": ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))})
     assert edited == source.replace(b'"fixed">', b'"fixed">\r\n    <origin xyz="0 0 1.0"/>')
-
-
-def test_written_numbers_read_back_to_the_same_float() -> None:
-    urdf = read_urdf(URDF)
-    generator = np.random.default_rng(3)
-    for _ in range(20):
-        origins = {
-            joint.name: (
-                tuple(generator.normal(0, 10.0 ** generator.integers(-12, 6), 3).tolist()),
-                tuple(generator.uniform(-4, 4, 3).tolist()),
-            )
-            for joint in urdf.joints
-        }
-        assert as_asked(parse_urdf(urdf.with_origins(origins))) == origins
 
 
 TWO = '<robot name="r"><link name="a"/><link name="b"/>{}</robot>'
@@ -162,14 +143,14 @@ FIXED = JOINT.format("fixed", "")
         (TWO.format(FIXED + '<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint>'), "ring"),
     ],
 )
-def test_what_cannot_be_read_says_what_and_where(source: str, words: str) -> None:
+def test_what_cannot_be_read_says_what_and_where(source, words):
     with pytest.raises(UrdfError, match=re.escape(words)) as caught:
         parse_urdf(source.encode(), "some.urdf")
     assert str(caught.value).startswith("some.urdf")
     assert "\n" not in str(caught.value)
 
 
-def test_a_ring_beside_the_tree_is_an_error() -> None:
+def test_a_ring_beside_the_tree_is_an_error():
     ring = "".join(
         f'<link name="{x}"/><joint name="{x}" type="fixed"><parent link="{y}"/><child link="{x}"/></joint>'
         for x, y in ("cd", "de", "ec")
@@ -178,7 +159,7 @@ def test_a_ring_beside_the_tree_is_an_error() -> None:
         parse_urdf(f'<robot name="r"><link name="a"/>{ring}</robot>'.encode())
 
 
-def test_files_that_are_not_there_or_not_text_say_so(tmp_path: Path) -> None:
+def test_files_that_are_not_there_or_not_text_say_so(tmp_path):
     with pytest.raises(UrdfError, match="no such file"):
         read_urdf(tmp_path / "none.urdf")
     with pytest.raises(UrdfError, match="cannot be read"):
@@ -190,12 +171,12 @@ def test_files_that_are_not_there_or_not_text_say_so(tmp_path: Path) -> None:
         parse_urdf(b'<?xml version="1.0" encoding="gbk"?><robot/>')
 
 
-def test_two_equal_tags_other_than_origin_are_no_matter() -> None:
+def test_two_equal_tags_other_than_origin_are_no_matter():
     urdf = parse_urdf(TWO.format(JOINT.format("revolute", '<axis xyz="0 1 0"/><axis xyz="0 1 0"/>')).encode())
     assert urdf.joints[0].axis == (0.0, 1.0, 0.0)
 
 
-def test_origins_in_xml_entities_read_and_are_refused_for_writing() -> None:
+def test_origins_in_xml_entities_read_and_are_refused_for_writing():
     joint = JOINT.format("fixed", "<origin xyz='0 0 1'/>").replace('"', "'")
     source = f'<!DOCTYPE robot [<!ENTITY j "{joint}">]>' + TWO.format("&j;")
     urdf = parse_urdf(source.encode())
@@ -204,15 +185,12 @@ def test_origins_in_xml_entities_read_and_are_refused_for_writing() -> None:
         urdf.with_origins({"j": ((0.0, 0.0, 2.0), (0.0, 0.0, 0.0))})
 
 
-def test_numbers_spelled_with_character_references_are_replaced_whole() -> None:
+def test_numbers_spelled_with_character_references_are_replaced_whole():
     urdf = parse_urdf(TWO.format(JOINT.format("fixed", '<origin xyz="1&#32;2&#x20;3"/>')).encode())
     edited = urdf.with_origins({"j": ((1.0, 2.0, 4.0), (0.0, 0.0, 0.0))})
     assert b'xyz="1.0 2.0 4.0"' in edited
 
 
-def test_wrong_edits_are_refused() -> None:
-    urdf = read_urdf(URDF)
-    with pytest.raises(UrdfError, match=r"no joint 'q22'; did you mean 'q2'\?"):
-        urdf.with_origins({"q22": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))})
-    with pytest.raises(UrdfError, match=r"joint 'q2': the new origin .* is not finite"):
-        urdf.with_origins({"q2": ((0.0, 0.0, math.nan), (0.0, 0.0, 0.0))})
+def test_numbers_that_are_not_finite_are_not_written():
+    with pytest.raises(UrdfError, match="joint 'j', xyz: 'nan' is not a number"):
+        parse_urdf(TWO.format(FIXED).encode()).with_origins({"j": ((0.0, 0.0, math.nan), (0.0, 0.0, 0.0))})

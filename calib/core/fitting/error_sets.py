@@ -105,12 +105,10 @@ class ErrorSet(ReadOnlyArrays):
         """Return error tables by instrument, part and state, in the part's unit of errors."""
         result: dict[str, dict[str, dict[str, dict[str, object]]]] = {}
         for instrument, part, rows in self.parts():
-            result.setdefault(instrument.name, {})[part.name] = {
-                state: error_table(
-                    self._pose_means(instrument.name, getattr(self, state)[instrument.name][:, rows]), part
-                )
-                for state in STATES
-            }
+            name = instrument.name
+            errors = {state: self._pose_means(name, getattr(self, state)[name][:, rows]) for state in STATES}
+            tables = {state: error_table(own, part) for state, own in errors.items()}
+            result.setdefault(name, {})[part.name] = tables
         return result
 
 
@@ -137,16 +135,10 @@ def repeats(data: Measurements) -> dict[str, tuple[IntArray, IntArray]]:
     """Return the first reading of each pose and pair of frames, (n_poses,), and their number for each reading, (n,)."""
     result = {}
     for name, readings in data.readings.items():
-        columns = [data.pose_numbers[readings.visits], readings.pairs, _pose_numbers(readings.details)]
-        _, first, number = np.unique(np.stack(columns, axis=1), axis=0, return_index=True, return_inverse=True)
+        columns = np.column_stack([data.pose_numbers[readings.visits], readings.pairs, readings.details])
+        _, first, number = np.unique(columns, axis=0, return_index=True, return_inverse=True)
         result[name] = first, number.reshape(-1)
     return result
-
-
-def _pose_numbers(details: FloatArray) -> IntArray:
-    if details.shape[1] == 0:
-        return np.zeros(len(details), dtype=np.intp)
-    return np.unique(details, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def error_table(errors: FloatArray, part: Part | None = None) -> dict[str, object]:
@@ -163,36 +155,20 @@ def error_table(errors: FloatArray, part: Part | None = None) -> dict[str, objec
     """
     axes = ("x", "y", "z") if part is None else part.axes
     shown = in_unit(np.asarray(errors), ERROR_UNIT["length" if part is None else part.dimension])
-    length = np.sqrt(np.nansum(shown**2, axis=1))
-    table: dict[str, object] = {
-        "mean": float(np.mean(length)),
-        "max": float(np.max(length)),
-        "rms": float(np.sqrt(np.mean(length**2))),
-        "std": _standard_deviation(length),
-        **_percentiles(length),
-    }
+    table: dict[str, object] = {**_summary(np.sqrt(np.nansum(shown**2, axis=1)))}
     for axis, column in zip(axes, shown.T, strict=True):
         values = column[np.isfinite(column)]
-        if len(values) == 0:
-            continue
-        table[axis] = {
-            "mean": float(np.mean(np.abs(values))),
-            "max": float(np.max(np.abs(values))),
-            "rms": float(np.sqrt(np.mean(values**2))),
-            "std": _standard_deviation(values),
-            "bias": float(np.mean(values)),
-            **_percentiles(np.abs(values)),
-        }
+        if len(values):
+            table[axis] = _summary(values, bias=np.mean(values))
     return table
 
 
-def _standard_deviation(values: FloatArray) -> float:
-    return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
-
-
-def _percentiles(values: FloatArray) -> dict[str, float]:
-    percentiles = np.percentile(values, list(PERCENTILES.values()))
-    return {key: float(value) for key, value in zip(PERCENTILES, percentiles, strict=True)}
+def _summary(values: FloatArray, **bias: np.floating[Any]) -> dict[str, float]:
+    size = np.abs(values)
+    numbers = {"mean": np.mean(size), "max": np.max(size), "rms": np.sqrt(np.mean(size**2))}
+    numbers["std"] = np.std(values, ddof=1) if len(values) > 1 else np.float64("nan")
+    percentiles = zip(PERCENTILES, np.percentile(size, list(PERCENTILES.values())), strict=True)
+    return {key: float(value) for key, value in (numbers | bias | dict(percentiles)).items()}
 
 
 class Errors(dict[str, dict[str, dict[str, object]]]):

@@ -34,12 +34,13 @@ from calib.core.base.workers import Steps
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.pose_checks import check_measurements, keeps_limits, require_identifiable
+from calib.core.fitting.pose_checks import check_measurements, require_identifiable
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.fitting.robust import RobustSolution
 from calib.core.fitting.settings import Settings
 from calib.core.fitting.solving import convergence_at, place, reset_unseen, solve_from, uncertainty_at
 from calib.core.robots.configurations import Configurations
+from calib.core.robots.loops import are_within_limits
 from calib.core.robots.robot import Robot
 from calib.core.rows.determination import Determination
 from calib.core.rows.observed import observe
@@ -138,7 +139,8 @@ def minimum_of(
     begin = reset_unseen(problem, start)
     determined = require_identifiable(problem, begin, alone=nearby.free_alone)  # before the solver
     solved = solve_from(problem, begin, settings, workers, steps.advance)
-    if not keeps_limits(solved.evaluation):
+    end = solved.evaluation
+    if not np.all(are_within_limits(end.robot.mechanism, end.configurations.passive)):  # on its way it may exceed them
         solved = solve_from(replace(problem, limits=True), begin, settings, workers, steps.advance)
     steps.advance()
     require_identifiable(problem, solved.evaluation, alone=True)
@@ -200,9 +202,8 @@ def fit_of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measu
 def unseen(robot: Robot, data: Measurements, later: Measurements | None) -> tuple[str, ...]:
     """Return the free parameters of places that the readings of `later` depend on, and those of `data` do not.
 
-    Examples are a tool or a tracker mounted anew for the validation. Such a place carries no information about the
-    robot, so the later readings alone place it, before and after calibration: the errors that remain are the robot's
-    own. With few poses in a small part of joint space such a place can absorb errors of the robot.
+    Such a place (a tool mounted anew) carries no information about the robot, so the later readings alone place it,
+    before and after calibration. With few poses in a small part of joint space it can absorb errors of the robot.
     """
     if later is None:
         return ()
@@ -217,10 +218,7 @@ def free_places(robot: Robot, origins: set[str]) -> tuple[str, ...]:
 
 
 def place_from_data(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robot:
-    """Return a robot with some places determined by measurements alone, and all other parameters unchanged.
-
-    Args:
-        robot: The robot, before or after calibration; only free parameters of the places change.
+    """Return a robot with some places determined by measurements alone; only free parameters of the places change.
 
     Raises:
         NotConvergedError: The places cannot be found.

@@ -208,13 +208,13 @@ class Fit(SolvedFit, HintedObject):
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
         """Predicted positions of the used visits, with their covariance as reported."""
-        data = self.identification.data
-        return self.reported_uncertainty.predict(data.joints, data.conditions, self.identification.passive, turns=False)
+        return self._uncertainty_at(self.identification)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
         """Predicted positions of the validation visits, with their covariance as reported; None without them."""
-        if self.validation is None:
-            return None
-        data = self.validation.data
-        return self.reported_uncertainty.predict(data.joints, data.conditions, self.validation.passive, turns=False)
+        return None if self.validation is None else self._uncertainty_at(self.validation)
+
+    def _uncertainty_at(self, errors: ErrorSet) -> PositionUncertainty:
+        data = errors.data
+        return self.reported_uncertainty.predict(data.joints, data.conditions, errors.passive, turns=False)

@@ -44,9 +44,8 @@ from calib.core.data.measurements import Measurements, with_points
 from calib.core.data.tables import read_table
 from calib.core.fitting.column_maps import ColumnMap, likely_maps
 from calib.core.fitting.fit import fit_data
-from calib.core.fitting.joint_conventions import uncounted_turns
 from calib.core.fitting.mistaken_readings import Trial, joint_value_trials, mistaken_readings, some_visits
-from calib.core.fitting.pose_checks import unmoved_joints
+from calib.core.fitting.pose_checks import uncounted_turns, unmoved_joints
 from calib.core.fitting.settings import Settings
 from calib.core.instruments.camera import rays, view_poses
 from calib.core.instruments.pixel import Pixel
@@ -164,12 +163,7 @@ def _misses(robot: Robot, changed: list[Measurements], most: float = np.inf) -> 
     A result above `most` is only a lower bound.
     """
     result = np.full(len(changed), np.inf)
-    glances = [data.joints[::_GLANCE] for data in changed]
-    some = (
-        _closed_poses(robot, glances)
-        if robot.mechanism.loops
-        else [(np.ones(1, dtype=bool), np.zeros(0))] * len(changed)
-    )
+    some = _closed_poses(robot, [data.joints[::_GLANCE] for data in changed])
     left = [k for k, (ok, _) in enumerate(some) if _closes(ok)]
     for k, (ok, passive) in zip(left, _closed_poses(robot, [changed[k].joints for k in left]), strict=True):
         result[k] = _miss_of(robot, changed[k], ok, passive, most)

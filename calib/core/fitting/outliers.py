@@ -115,7 +115,7 @@ def outliers_of(studentised: StudentisedErrors, error_set: ErrorSet, layout: Lay
     result = []
     for k in map(int, studentised.outliers):
         name = next(name for name in layout.instruments if layout.readings_of(name).stop > k)
-        instrument = next(instrument for instrument in error_set.instruments if instrument.name == name)
+        instrument = next(each for each in error_set.instruments if each.name == name)
         number = k - layout.readings_of(name).start
         errors, readings = error_set.after[name][number], error_set.data.readings[name]
         texts = instrument.texts(readings.pairs[[number]], readings.details[[number]])
@@ -173,10 +173,8 @@ def numbers_by_instrument(readings: Sequence[int] | IntArray, layout: Layout) ->
 
 def size_in_words(instrument: Instrument, errors: FloatArray) -> str:
     """Return the errors (n_rows,) [SI] of one reading in words, such as `0.123 mm and 0.4 mrad`."""
-    sizes = []
-    for part, length in zip(instrument.parts, _lengths(instrument, errors), strict=True):
-        sizes.append(quantity_text(length, ERROR_UNIT[part.dimension], ".3f"))
-    return " and ".join(sizes)
+    sizes = zip(instrument.parts, _lengths(instrument, errors), strict=True)
+    return " and ".join(quantity_text(length, ERROR_UNIT[part.dimension], ".3f") for part, length in sizes)
 
 
 def _lengths(instrument: Instrument, errors: FloatArray) -> list[float]:

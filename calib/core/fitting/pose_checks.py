@@ -1,21 +1,23 @@
 """Checks before a fit that measurements can determine a robot at all, in terms of the measurements.
 
-They cover the numbers themselves, their count against the unknowns, positions on one line with an unknown base, and the
-rank of data and priors together (`calib.core.rows.determination`).
+They cover the numbers themselves, their count against the unknowns, positions on one line with an unknown base, the
+rank of data and priors together (`calib.core.rows.determination`), and whether the values of joints that turn without
+end count whole turns.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import DataError, NotIdentifiableError
-from calib.core.base.words import joints_named
+from calib.core.base.words import joints_named, listing
 from calib.core.data.measurements import Measurements
 from calib.core.fitting.problem import Evaluation, Problem
 from calib.core.numerics import linalg
 from calib.core.numerics.graphs import connected_parts
-from calib.core.robots.loops import are_within_limits
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Condition
 from calib.core.rows.determination import Determination, determination
@@ -25,11 +27,8 @@ _STILL = 1e-6  # a joint never moved if its range is less [m, rad]
 _TIED = 0.02  # joints are tied if their entry of the projector onto directions that no pose shows is larger
 _ALONE = 1e-3  # least spread of poses along a direction of joint space, as part of the largest spread
 _LINE = 1e-3  # positions lie on one line if width over length is less
-
-
-def keeps_limits(final: Evaluation) -> bool:
-    """Return whether passive joints keep their limits at the end of a fit; they may exceed them on its way."""
-    return bool(np.all(are_within_limits(final.robot.mechanism, final.configurations.passive)))
+_FILLED = 0.75  # values over more than this part of a turn are near both of its ends, and may be wrapped there
+_ROUND = 1e-3  # beyond the ends of a turn, values that were rounded [rad]
 
 
 def check_measurements(robot: Robot, data: Measurements) -> None:
@@ -179,3 +178,36 @@ def _why(problem: Problem) -> str:
     if still:
         return f" ({joints_named(*still, shown=len(still))} never moved)"
     return ""
+
+
+def uncounted_turns(robot: Robot, joints: FloatArray) -> list[str]:
+    """Return the endless joints whose values (n_poses, n_actuated) fill one turn and stay within it.
+
+    Such values may be wrapped: the number of whole turns is then unknown.
+    """
+    endless = {joint.name for joint in robot.urdf.joints if joint.type == "continuous"}
+    turn, within = 2.0 * np.pi, np.zeros(joints.shape[1], dtype=bool)
+    for least in (-np.pi, 0.0):
+        within |= (joints.min(axis=0) > least - _ROUND) & (joints.max(axis=0) < least + turn + _ROUND)
+    filled = within & (np.ptp(joints, axis=0) > _FILLED * turn)
+    return [name for name, wrapped in zip(robot.joint_names, filled, strict=True) if wrapped and name in endless]
+
+
+def may_be_wrapped(joints: Sequence[str], wrong: Sequence[str]) -> str:
+    """Return the problem and its remedy, where values of `joints` may be wrapped and `wrong` terms count turns."""
+    return (
+        f"all values of {joints_named(*joints)} lie within one turn, and the URDF"
+        f" states no limits. If these values were wrapped, {listing(wrong)} cannot be right. Give values that count"
+        " turns; or give limits, if the joint turns no further; or use harmonics or a curve, which repeat with the"
+        " turn"
+    )
+
+
+def wrapped_terms(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
+    """Return the problem with joint terms that count turns, where joint values (n_poses, n_actuated) may be wrapped."""
+    uncounted = uncounted_turns(robot, joints)
+    followed = [
+        (term.driving_joint(robot.joint_names), term.parameters[0].name) for term in robot.terms if term.counts_turns
+    ]
+    wrong = {name: joint for joint, name in followed if joint in uncounted}
+    return (may_be_wrapped(list(dict.fromkeys(wrong.values())), list(wrong)),) if wrong else ()

@@ -139,8 +139,7 @@ class Problem(ReadOnlyArrays):
     def with_readings(self, data: Measurements, passive: FloatArray) -> Problem:
         """Return the problem of other readings at the same visits, joint values and conditions.
 
-        Args:
-            passive: Passive joints near the solution of that problem, (n, n_passive) [m or rad].
+        `passive` are passive joints near the solution of that problem, (n, n_passive) [m or rad].
         """
         whitening = Whitening(self.robot, data, self.sigma)
         return replace(self, data=data, passive=passive, whitening=whitening, noise_found=whitening.is_unstated)
@@ -148,10 +147,7 @@ class Problem(ReadOnlyArrays):
     def largest_scales(self, efficiency: float = 1.0) -> FloatArray:
         """Return the largest scale that chance explains of each group, (n_groups,); infinite without stated noise.
 
-        A larger scale that is found contradicts the stated noise, whose scale is 1.
-
-        Args:
-            efficiency: Efficiency of the estimate of the scales, relative to least squares.
+        A larger scale, found with this efficiency relative to least squares, contradicts the stated noise (scale 1).
         """
         counts = self.whitening.layout.counts
         left = max(1.0 - len(self.unknowns) / max(int(np.sum(counts)), 1), _LEAST_FREEDOM)
@@ -173,14 +169,7 @@ class Problem(ReadOnlyArrays):
         return bool(np.any(self.unknowns.prior.has)) or len(self.whitening.groups) > 1
 
     def evaluate(self, robot: Robot, near: Evaluation | None = None) -> Evaluation:
-        """Evaluate a robot on the data.
-
-        Args:
-            near: Evaluation at similar values, from which the loops close quickly.
-
-        Raises:
-            ComputationError: A loop opens.
-        """
+        """Evaluate a robot on the data, near an evaluation at similar values; a loop that opens: `ComputationError`."""
         evaluation = self.evaluate_if_closed(robot, near) or self._try_evaluate(robot, None)
         if evaluation is None:
             closed = close(robot, self.data.joints, columns=self._columns_of(robot), limits=self.limits)
@@ -223,14 +212,11 @@ class Problem(ReadOnlyArrays):
     def derivative(
         self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns, weights: FloatArray | None = None
     ) -> FloatArray:
-        """Return the derivative of the rows by some scaled parameters.
+        """Return the derivative of the rows by some scaled parameters, (n_rows, n_unknowns).
 
         Args:
             evaluation, groups, unknowns: Arguments of `rows`.
             weights: Weight of each reading, (n_readings,).
-
-        Returns:
-            (n_rows, n_unknowns).
         """
         columns = next((kept for known, own, kept in evaluation.whitened if own is unknowns), None)
         if columns is None:
@@ -248,8 +234,7 @@ class Problem(ReadOnlyArrays):
         The few rows are the triangular factors of the rows of each group, computed once for an evaluation.
 
         Args:
-            evaluation, groups: Arguments of `rows`.
-            unknowns: Parameters of the columns.
+            evaluation, groups, unknowns: Arguments of `rows`.
             rows: The derivative of the rows by these, (n_rows, n_unknowns), if it is known.
         """
         if not any(known.has(unknowns) for known, _ in evaluation.factors):
@@ -286,16 +271,13 @@ class Problem(ReadOnlyArrays):
         tolerance: float = TOLERANCE,
         weights: FloatArray | None = None,
     ) -> tuple[Evaluation, LeastSquaresSolution]:
-        """Minimise over some parameters; the others stay as in `start`.
+        """Minimise over some parameters; return the evaluation at the end, and the solver's result.
 
         Args:
             groups: Scale of the noise of each group, (n_groups,).
-            unknowns: The parameters that may move; the free ones if not given.
+            unknowns: The parameters that may move; the free ones if not given. The others stay as in `start`.
             tolerance: See `calib.core.numerics.least_squares`.
             weights: Weight of each reading, (n_readings,).
-
-        Returns:
-            The evaluation at the end, and the solver's result.
         """
         way = _SolverRows(self, start, groups, self.unknowns if unknowns is None else unknowns, weights)
         solution = minimise(way.residuals, way.jacobian, way.begin, tolerance=tolerance)

@@ -215,29 +215,29 @@ class SolvedFit(ReadOnlyArrays):
 
     def whitened_residuals_and_rows(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
         """Return residuals before (n_rows,) and rows after calibration at new visits, whitened by the found noise."""
-        data = errors.data
-        before, after, whitening, factors = self._whitened(errors)
+        data, (whitening, factors) = errors.data, self._found_noise(errors)
         configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
         observed = observe(self.robot, configurations, data.readings)
         rows = whitening.rows(observed, factors, self.unknowns, self.robot.values)
-        return before, replace(rows, residuals=after)
+        return whitening.whiten(errors.before, factors), replace(
+            rows, residuals=whitening.whiten(errors.after, factors)
+        )
 
     def whitened_errors(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray]:
         """Return residuals before and after calibration, (n_rows,) each, whitened by the found noise."""
-        return self._whitened(errors)[:2]
+        whitening, factors = self._found_noise(errors)
+        return whitening.whiten(errors.before, factors), whitening.whiten(errors.after, factors)
 
-    def _whitened(self, errors: ErrorSet) -> tuple[FloatArray, FloatArray, Whitening, FloatArray]:
+    def _found_noise(self, errors: ErrorSet) -> tuple[Whitening, FloatArray]:
+        """Whitening of errors, and the scales of their groups of rows by the found noise, (n_groups,)."""
         used = errors.data is self.identification.data
         whitening = self.whitening if used else Whitening(self.robot, errors.data, self.sigma_given)
-        known = {
-            (estimate.group.name, estimate.group.part.name, estimate.group.stated): estimate for estimate in self.noise
-        }
         factors = whitening.start(errors.after)  # noise of instruments that the fit has not seen
         for g, group in enumerate(whitening.groups):
-            estimate = known.get((group.name, group.part.name, group.stated))
-            if estimate is not None:
-                factors[g] = max(estimate.sigma, 1e-30) / estimate.group.typical
-        return whitening.whiten(errors.before, factors), whitening.whiten(errors.after, factors), whitening, factors
+            for own, sigma in ((each.group, each.sigma) for each in self.noise):
+                if (own.name, own.part.name, own.stated) == (group.name, group.part.name, group.stated):
+                    factors[g] = max(sigma, 1e-30) / own.typical
+        return whitening, factors
 
     @cached_property
     def validation_rows(self) -> Rows | None:

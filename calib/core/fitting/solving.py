@@ -20,7 +20,7 @@ from functools import partial
 
 import numpy as np
 
-from calib.core.base.arrays import FloatArray
+from calib.core.base.arrays import BoolArray, FloatArray
 from calib.core.base.errors import NotConvergedError, NotIdentifiableError
 from calib.core.base.workers import Progress
 from calib.core.fitting.curvature import mean_square_beyond_linear
@@ -191,15 +191,12 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> R
 def scales_found(
     problem: Problem, evaluation: Evaluation, groups: FloatArray, *, rough: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Find the scales of the groups `noise_found`, and factors on the sigmas of families, from the residuals.
+    """Find scales of groups (n_groups,), 1 unless `noise_found`, and factors on sigmas of families (n_families,).
 
     Args:
         evaluation: An evaluation near the minimum, whose linear model counts.
         groups: Scales to start from, (n_groups,).
         rough: As in `find_sizes`.
-
-    Returns:
-        Scales of the groups (n_groups,), factors of the families (n_families,).
     """
     unknowns = problem.unknowns
     first = [int(np.argmax(unknowns.family == k)) for k in range(len(unknowns.families))]
@@ -260,16 +257,17 @@ def uncertainty_at(
             partial(mean_square_beyond_linear, problem, replace(solved.evaluation), rows, solved.groups)
         )
     poses = scatter_of_poses(rows, span, factors, solved.weights)
+    arguments = span, layout.group, known, factors, unknowns.scales, model.prior, poses, beyond_linear
     if seen is None:
-        scales, by_sizes = unknowns.scales, None
-    else:
-        scales, by_sizes = np.ones(len(seen.family)), variance_by_sizes(known.covariance, seen.family, model.deviations)
-        rows.remember_span(model.span)
-    uncertainty = statistics(span, layout.group, known, factors, scales, model.prior, poses, by_sizes, beyond_linear)
-    if seen is not None:
-        every = seen.covariance(uncertainty.covariance, unseen_variances(known.covariance, seen.family))
-        uncertainty = uncertainty.with_covariance(every, unknowns.scales, rows.prior.has)
-    return rows, solved.groups, uncertainty
+        return rows, solved.groups, statistics(*arguments)
+    rows.remember_span(model.span)
+    by_sizes = variance_by_sizes(known.covariance, seen.family, model.deviations)
+    unseen = unseen_variances(known.covariance, seen.family)
+
+    def expand(of_components: FloatArray) -> tuple[FloatArray, BoolArray]:
+        return seen.covariance(of_components + by_sizes, unseen), rows.prior.has
+
+    return rows, solved.groups, statistics(*arguments, expand)
 
 
 def scatter_of_poses(

@@ -22,11 +22,9 @@ The part that rows cannot tell from noise counts as delta, because the noise of 
 (`calib.core.numerics.size_search.scatter_given_noise`). With known noise that part is zero; where all joints move all
 readings alike, as in a gantry, it is most of the residuals.
 An outlier counts no more than the largest error that is none, since it may be a wrong reading
-(`calib.core.fitting.outliers`). Delta is no larger than if it alone explained the residuals. A reading at a pose has
-the noise beside delta (`reading_noise`): the found noise contains both. With a robust loss it is the found noise, as
-weighted residuals are smaller than noise.
-Delta is no part of the covariance of parameters, which is found from the same residuals. Of very many poses, a part
-determines it.
+(`calib.core.fitting.outliers`). A reading at a pose has the noise beside delta (`reading_noise`): the found noise
+contains both. With a robust loss it is the found noise, as weighted residuals are smaller than noise. Delta is no part
+of the covariance of parameters, which is found from the same residuals. Of very many poses, a part determines it.
 
 When it fails. A stated noise that is too small counts as an error of the joints. Errors that the parameters absorbed
 show in no residual: at poses unlike the measured ones the robot may be further off. For a robot that its parameters

@@ -23,7 +23,7 @@ from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import shuffled_poses
 from calib.core.fitting.error_sets import ErrorSet, Folds
 from calib.core.fitting.fitted import Fit
-from calib.core.instruments.kind import Instrument, Readings
+from calib.core.instruments.kind import Readings
 
 FitAndPredict = Callable[[Measurements, Measurements], Fit]
 """Function that fits the first measurements and predicts the second as its validation."""
@@ -85,23 +85,19 @@ def cross_validate(
     """
     folds = _folds(data, count, seed)
     setups = tuple(_setups(data)) if count == "setups" else ()
-    before = {name: np.empty((len(readings), 0)) for name, readings in data.readings.items()}
-    after = dict(before)
-    singular: FloatArray = np.empty(len(data))
+    before, after, singular = dict[str, FloatArray](), dict[str, FloatArray](), np.empty(len(data))
     rms, converged = [], True
-    instruments: tuple[Instrument, ...] = ()
     fitted = results_in_order(partial(_leave_out_fold, fit, data), folds, executor, progress)
     for held, (errors, well) in zip(folds, fitted, strict=True):
-        instruments = errors.instruments
         for whole, part in ((before, errors.before), (after, errors.after)):
             for name, rows in part.items():
-                if whole[name].shape[1] == 0:
-                    whole[name] = np.empty((len(data.readings[name]), rows.shape[1]))
-                whole[name][readings_at(data.readings[name], held)] = rows
+                readings = data.readings[name]
+                everywhere = whole.setdefault(name, np.empty((len(readings), rows.shape[1])))
+                everywhere[readings_at(readings, held)] = rows
         singular[held] = errors.singular_value
         rms.append(errors.rms("after"))
         converged &= well
-    errors = ErrorSet(data, instruments, before, after, singular)
+    errors = ErrorSet(data, errors.instruments, before, after, singular)
     return Folds(len(folds), seed, errors, tuple(rms), converged, setups)
 
 

@@ -25,9 +25,9 @@ from calib.core.data.measurements import Measurements
 from calib.core.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.core.fitting.fitted import Fit
 from calib.core.fitting.likely_mistakes import equal_columns, zero_visits, zeros_in_words
-from calib.core.fitting.moved_frame import moved_frame
 from calib.core.fitting.outliers import outliers_in_words, studentise_errors
 from calib.core.fitting.pose_checks import tied_joints, unmoved_joints
+from calib.core.fitting.unseen_errors import moved_frame
 from calib.core.judging import findings
 from calib.core.judging.reasons import Answer, Code, Reason
 from calib.core.judging.repeatability import pose_error_over_repeatability

@@ -13,7 +13,7 @@ from calib.core.base.errors import DataError
 from calib.core.base.units import ERROR_UNIT, in_unit, millimetres, quantity_text
 from calib.core.base.words import count_noun, joints_named, listing, significant
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.moved_frame import moved_frame
+from calib.core.fitting.unseen_errors import moved_frame
 from calib.core.judging import findings
 from calib.core.judging.better_or_worse import HARM, comparisons
 from calib.core.judging.claim import Benefit, Claim, is_elsewhere, unlike_measured

@@ -11,8 +11,7 @@ from calib.core.base.memoize import memoize
 from calib.core.base.units import DISPLAY_UNIT, quantity_text, stated_tolerance
 from calib.core.base.words import count_noun, joints_named, listing
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.joint_conventions import wrapped_terms
-from calib.core.fitting.pose_checks import unmoved_joints
+from calib.core.fitting.pose_checks import unmoved_joints, wrapped_terms
 from calib.core.fitting.terms.joint_curves import is_beyond_learned
 from calib.core.judging.claim import Claim, known_at_used
 from calib.core.judging.reasons import Answer, Code, Reason

@@ -7,6 +7,8 @@ few then lie along lines.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
@@ -18,20 +20,11 @@ def halton(count: int, dimensions: int) -> FloatArray:
     Equal to `scipy.stats.qmc.Halton` without scrambling, whose import takes longer than most uses of these points.
     """
     points = np.zeros((count, dimensions))
-    for k, base in enumerate(_primes(dimensions)):
+    primes = (n for n in itertools.count(2) if all(n % k for k in range(2, n)))
+    for k, base in enumerate(itertools.islice(primes, dimensions)):
         left, weight = np.arange(count), 1.0
         while np.any(left):
             weight /= base
             points[:, k] += weight * (left % base)
             left //= base
     return points
-
-
-def _primes(count: int) -> list[int]:
-    primes: list[int] = []
-    candidate = 2
-    while len(primes) < count:
-        if all(candidate % prime for prime in primes):
-            primes.append(candidate)
-        candidate += 1
-    return primes

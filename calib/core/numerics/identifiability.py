@@ -102,12 +102,9 @@ class Rank(ReadOnlyArrays):
 def reduce_rows(rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
     """Return at most n_columns rows with the same singular values and null space: the R of a QR factorisation.
 
-    Very many rows are reduced part by part, so that no copy of all is made. On tall matrices LAPACK's `geqrt` takes
-    half to three quarters of the time of `geqrf`, which NumPy calls.
-
-    Args:
-        rows: (n_rows, n_columns).
-        right: One more column, (n_rows,).
+    Rows are (n_rows, n_columns); `right` is one more column, (n_rows,). Very many are reduced part by part, so that no
+    copy of all is made. On tall matrices LAPACK's `geqrt` takes half to three quarters of the time of `geqrf`, which
+    NumPy calls.
     """
     return extend_reduced(np.zeros((0, rows.shape[1] + (right is not None))), rows, right)
 
@@ -157,14 +154,10 @@ def square_of_triangle(upper: FloatArray) -> FloatArray:
 
 
 def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Divide columns by their length; columns that are rounding errors of the longest one become zero.
+    """Return columns over their length, and the divisors (n_columns,); rounding errors of the longest one become zero.
 
-    Args:
-        columns: Derivatives by metres and radians, not scaled, (n_rows, n_columns).
-
-    Returns:
-        The columns, each of length 1 or 0, and the divisor of each, (n_columns,): for columns that became zero the
-        length of the longest one.
+    Columns are derivatives by metres and radians, not scaled, (n_rows, n_columns). The divisor of those that become
+    zero is the length of the longest one.
     """
     lengths = np.sqrt(np.einsum("ij,ij->j", columns, columns))  # numpy's norm would copy them twice
     longest = float(np.max(lengths, initial=0.0))

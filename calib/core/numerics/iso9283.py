@@ -109,12 +109,10 @@ def direction_variation(groups: Sequence[FloatArray]) -> Figure:
     pairs = list(combinations(groups, 2))
     lengths = []
     for first, second in pairs:
-        spread = [np.cov(group.T) / len(group) for group in (first, second)]
-        freedom = min(len(first), len(second)) - 1
-        lengths.append(
-            _length(first.mean(axis=0) - second.mean(axis=0), spread[0] + spread[1], freedom, _TAIL / len(pairs))
-        )
-    return Figure(max(f.value for f in lengths), max(f.low95 for f in lengths), max(f.high95 for f in lengths))
+        apart, freedom = first.mean(axis=0) - second.mean(axis=0), min(len(first), len(second)) - 1
+        spread = np.cov(first.T) / len(first) + np.cov(second.T) / len(second)
+        lengths.append(_length(apart, spread, freedom, _TAIL / len(pairs)))
+    return _largest(lengths)
 
 
 def drift(blocks: Sequence[FloatArray], rng: np.random.Generator) -> tuple[Figure, Figure]:
@@ -133,12 +131,13 @@ def _largest_change(figures: Sequence[Figure]) -> Figure:
     first, changes = figures[0], []
     for figure in figures[1:]:
         apart = max(figure.low95 - first.high95, first.low95 - figure.high95, 0.0)
-        changes.append(
-            Figure(
-                abs(figure.value - first.value), apart, max(figure.high95 - first.low95, first.high95 - figure.low95)
-            )
-        )
-    return Figure(max(c.value for c in changes), max(c.low95 for c in changes), max(c.high95 for c in changes))
+        most = max(figure.high95 - first.low95, first.high95 - figure.low95)
+        changes.append(Figure(abs(figure.value - first.value), apart, most))
+    return _largest(changes)
+
+
+def _largest(figures: Sequence[Figure]) -> Figure:
+    return Figure(max(f.value for f in figures), max(f.low95 for f in figures), max(f.high95 for f in figures))
 
 
 def _length(mean: FloatArray, covariance: FloatArray, freedom: int, tail: float) -> Figure:
@@ -151,16 +150,17 @@ def _length(mean: FloatArray, covariance: FloatArray, freedom: int, tail: float)
     h = trace / g
     g *= float(scipy.special.stdtrit(freedom, 1 - tail) / scipy.special.ndtri(1 - tail)) ** 2
 
-    def missing(square: float, chance: float) -> float:
-        return float(scipy.special.chndtr(value**2 / g, h, square / g)) - chance
+    def length_at(chance: float) -> float:
+        """The true length with which so short a mean has this chance: the longer, the less often."""
 
-    limits = []
-    for chance in (1 - tail, tail):  # the longer the true length, the less often so short a mean occurs
-        if missing(1e-9 * g, chance) <= 0:
-            limits.append(0.0)
-            continue
+        def missing(square: float) -> float:
+            return float(scipy.special.chndtr(value**2 / g, h, square / g)) - chance
+
+        if missing(1e-9 * g) <= 0:
+            return 0.0
         beyond = value**2 + g
-        while missing(beyond, chance) > 0:
+        while missing(beyond) > 0:
             beyond *= 2.0
-        limits.append(float(np.sqrt(scipy.optimize.brentq(missing, 1e-9 * g, beyond, args=(chance,), xtol=1e-9 * g))))
-    return Figure(value, limits[0], limits[1])
+        return float(np.sqrt(scipy.optimize.brentq(missing, 1e-9 * g, beyond, xtol=1e-9 * g)))
+
+    return Figure(value, length_at(1 - tail), length_at(tail))

@@ -109,14 +109,21 @@ def _values_by_width(function: Callable[[int], float], widths: IntArray) -> Floa
 
 def weights(loss: Loss, distance: FloatArray, c: FloatArray | float) -> FloatArray:
     """Return the weights of readings at distances d >= 0 over the scale, (n_readings,), for one constant c or each."""
+    return _weights_and_changes(loss, distance, c)[0]
+
+
+def _weights_and_changes(loss: Loss, distance: FloatArray, c: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+    """Weights w of `weights`, and w' d."""
     d = np.asarray(distance, dtype=float)
     if loss == "huber":
-        return np.minimum(1.0, c / np.maximum(d, 1e-300))
-    if loss == "cauchy":
-        return np.asarray(1.0 / (1.0 + (d / c) ** 2))
+        w = np.minimum(1.0, c / np.maximum(d, 1e-300))
+        return w, np.where(d > c, -w, 0.0)
+    square = (d / c) ** 2  # 0 without a robust loss
     if loss == "tukey":
-        return np.asarray(np.where(d < c, (1.0 - (d / c) ** 2) ** 2, 0.0))
-    return np.ones_like(d)
+        inside = np.maximum(1.0 - square, 0.0)
+        return inside**2, -4.0 * square * inside
+    w = np.asarray(1.0 / (1.0 + square))
+    return w, -2.0 * square * w**2
 
 
 def weights_of(loss: Loss, distance: FloatArray, widths: IntArray) -> FloatArray:
@@ -126,23 +133,14 @@ def weights_of(loss: Loss, distance: FloatArray, widths: IntArray) -> FloatArray
 
 def slopes(loss: Loss, distance: FloatArray, c: FloatArray | float, k: IntArray | int) -> FloatArray:
     """Return w + w' d / k, the mean over k rows of d(w r)/dr, of distances d (n_readings,)."""
-    d = np.asarray(distance, dtype=float)
-    w = weights(loss, d, c)
-    if loss == "huber":
-        return np.asarray(np.where(d > c, w * (1.0 - 1.0 / np.asarray(k)), w))
-    if loss == "cauchy":
-        return np.asarray(w - 2.0 * (d / c) ** 2 * w**2 / k)
-    if loss == "tukey":
-        inside = np.maximum(1.0 - (d / c) ** 2, 0.0)
-        return np.asarray(w - 4.0 * (d / c) ** 2 * inside / k)
-    return w
+    w, change = _weights_and_changes(loss, distance, c)
+    return np.asarray(w + change / k)
 
 
 def efficiency(loss: Loss, c: float, k: int) -> float:
     """Return the part of the information of normal data that a loss keeps."""
-    slope = _mean(lambda d: float(slopes(loss, np.array(d), c, k)), c, k)
-    score = _mean(lambda d: float(weights(loss, np.array(d), c)) ** 2 * d**2, c, k) / k
-    return slope**2 / score
+    slope = _mean(lambda d: slopes(loss, d, c, k), c, k)
+    return slope**2 / (_mean(lambda d: weights(loss, d, c) ** 2 * d**2, c, k) / k)
 
 
 def scale_of(distances: FloatArray, widths: IntArray, n_effective: float) -> float:
@@ -187,24 +185,19 @@ def robust_factors(loss: Loss, distances: FloatArray, widths: IntArray, scale: f
 def _normal_moments(loss: Loss, k: int) -> tuple[float, float]:
     """E[w] and E[w d^2] / k for normal readings of k rows with noise 1."""
     c = constant(loss, k)
-    return (
-        _mean(lambda d: float(weights(loss, np.array(d), c)), c, k),
-        _mean(lambda d: float(weights(loss, np.array(d), c)) * d**2, c, k) / k,
-    )
+    return _mean(lambda d: weights(loss, d, c), c, k), _mean(lambda d: weights(loss, d, c) * d**2, c, k) / k
 
 
-def _mean(function: Callable[[float], float], kink: float, k: int) -> float:
+def _mean(function: Callable[[FloatArray], FloatArray], kink: float, k: int) -> float:
     """Mean over the chi distribution with k degrees of freedom; the integrand may have a kink."""
+    size = (0.5 * k - 1.0) * np.log(2.0) + scipy.special.gammaln(0.5 * k)
 
-    def density(d: float) -> float:
-        return float(
-            d ** (k - 1) * np.exp(-0.5 * d**2 - (0.5 * k - 1.0) * np.log(2.0) - scipy.special.gammaln(0.5 * k))
-        )
+    def integrand(d: float) -> float:
+        return float(function(np.array(d)) * d ** (k - 1) * np.exp(-0.5 * d**2 - size))
 
     middle = min(kink, 15.0)
-    inner, _ = scipy.integrate.quad(lambda d: function(d) * density(d), 0.0, middle)
-    outer, _ = scipy.integrate.quad(lambda d: function(d) * density(d), middle, max(30.0, 2.0 * middle))
-    return float(inner + outer)
+    limits = ((0.0, middle), (middle, max(30.0, 2.0 * middle)))
+    return float(sum(scipy.integrate.quad(integrand, *ends)[0] for ends in limits))
 
 
 @dataclass(frozen=True, eq=False)

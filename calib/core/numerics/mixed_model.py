@@ -71,7 +71,7 @@ from calib.core.base.arrays import FloatArray, IntArray, ReadOnlyArrays, hold
 from calib.core.numerics import linalg
 from calib.core.numerics.clusters import blocks_of_equal_length, shifts_without_block
 from calib.core.numerics.identifiability import inverse_of_triangle, reduce_rows, square_of_triangle
-from calib.core.numerics.mixed_rows import FLAT, KNOWN, FamilyPart, MixedRows, coefficients_of, condense
+from calib.core.numerics.mixed_rows import FLAT, KNOWN, Components, FamilyPart, MixedRows
 
 _DECIDES = 1e-6  # other poses predict a direction if they decide more than this part of it
 _LEAST_EFFECT = 0.1  # a solution omits a coefficient that moves all rows together by less than this part of the noise
@@ -83,19 +83,17 @@ class MixedModel(ReadOnlyArrays):
     """The model with its rows rotated and its columns replaced by components.
 
     Attributes:
-        parts: Groups of columns and their components, in their order.
-        x: Columns of all parts, rows rotated, (n_rows, n).
+        components: Components of each family, of columns with known priors, and of flat ones.
+        x: Columns of the components, rows rotated, (n_rows, n).
         y: Values, rotated, (n_rows,).
         spread: l of the module docstring, (n_rows,).
-        family: Family of each column, as in `MixedRows`, (n,).
     """
 
     rows: MixedRows
-    parts: tuple[FamilyPart, ...]
+    components: Components
     x: FloatArray
     y: FloatArray
     spread: FloatArray
-    family: IntArray
     n_families: int
 
     @staticmethod
@@ -103,18 +101,23 @@ class MixedModel(ReadOnlyArrays):
         """Rotate rows, and replace their columns by components; those of families shorter than `least` are dropped."""
         numbers = [*range(int(np.max(rows.family, initial=-1)) + 1), KNOWN, FLAT]
         members = [np.flatnonzero(rows.family == number) for number in numbers]
-        parts = tuple(
+        parts = [
             FamilyPart.from_columns(places, rows.columns[:, places], number, least)
             for number, places in zip(numbers, members, strict=True)
             if len(places)
-        )
-        x = condense(parts, rows.columns)
+        ]
+        components = Components(tuple(parts))
+        x = components.combine(rows.columns)
         y, spread = rows.values.copy(), np.zeros(len(x))
         for places, turn, spread_there in _rotate_rows(rows) if rows.levers.shape[1] else ():
             back, spread[places] = turn.transpose(0, 2, 1), spread_there
             x[places], y[places] = np.matmul(back, x[places]), np.matmul(back, y[places, None])[:, :, 0]
-        family = np.concatenate([np.full(part.kept.shape[1], part.family) for part in parts])
-        return MixedModel(rows, parts, x, y, spread, family, len(numbers) - 2)
+        return MixedModel(rows, components, x, y, spread, len(numbers) - 2)
+
+    @property
+    def family(self) -> IntArray:
+        """Family of each component, as in `MixedRows`, (n,)."""
+        return self.components.family
 
     @property
     def scatters(self) -> bool:
@@ -136,10 +139,6 @@ class MixedModel(ReadOnlyArrays):
         noise = np.ones(len(self.rows.has_stated_noise))
         noise[self.unstated_groups] = np.exp(logs[self.n_families : self.n_families + len(self.unstated_groups)])
         return np.exp(logs[: self.n_families]), noise, float(np.exp(logs[-1])) if self.scatters else 0.0
-
-    def coefficients(self, condensed: FloatArray) -> FloatArray:
-        """Return the coefficients of all columns (n_columns,), from those of the condensed ones (n,)."""
-        return coefficients_of(self.parts, condensed)
 
     def solve(self, logs: FloatArray, seen: IntArray | None = None) -> SolvedModel:
         """Solve the model with given sizes.
@@ -352,7 +351,7 @@ class SolvedModel(ReadOnlyArrays):
     @property
     def coefficients(self) -> FloatArray:
         """Coefficients u of all columns, (n_columns,)."""
-        return self.model.coefficients(self.condensed_coefficients)
+        return self.model.components.coefficients(self.condensed_coefficients)
 
     @property
     def covariance(self) -> FloatArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -94,10 +93,10 @@ class FamilyPart(ReadOnlyArrays):
     def from_columns(
         members: IntArray, columns: FloatArray, family: int, least: float = 0.0, aside: float = _ASIDE
     ) -> FamilyPart:
-        """Return the part of the columns of a family, (n_rows, n).
+        """Return the part of the columns of a family, (n_rows, n), whose components are at least `least` long.
 
-        Components of a family are dropped if they are shorter than `least`, or than the part `aside` of the longest;
-        those of columns with known priors, which have many units, if they are shorter than both.
+        Others are dropped, as are those below the part `aside` of the longest; of columns with known priors, which have
+        many units, those that are shorter than both.
         """
         if family == FLAT:
             lengths = np.linalg.norm(columns, axis=0)
@@ -114,48 +113,57 @@ class FamilyPart(ReadOnlyArrays):
         return FamilyPart(members, vectors[:, seen], family)
 
 
-def condense(parts: Sequence[FamilyPart], columns: FloatArray) -> FloatArray:
-    """Return columns of the components of all parts (..., n_new), from all columns (..., n)."""
-    places = _places(parts)
-    result = np.empty((*columns.shape[:-1], places[-1].stop))
-    for part, place in zip(parts, places, strict=True):
-        first, last = part.members[[0, -1]] if len(part.members) else (0, -1)
-        together = last - first == len(part.members) - 1  # a slice copies nothing
-        own = columns[..., first : last + 1] if together else columns[..., part.members]
-        result[..., place] = own @ part.kept
-    return result
-
-
-def coefficients_of(parts: Sequence[FamilyPart], condensed: FloatArray) -> FloatArray:
-    """Return the coefficients of all columns (n_columns,), from those of the components of all parts (n,)."""
-    result = np.zeros(sum(len(part.members) for part in parts))
-    for part, place in zip(parts, _places(parts), strict=True):
-        result[part.members] = part.kept @ condensed[place]
-    return result
-
-
-def _places(parts: Sequence[FamilyPart]) -> list[slice]:
-    """Places of the components of each part among those of all."""
-    ends = np.cumsum([0, *(part.kept.shape[1] for part in parts)]).tolist()
-    return list(map(slice, ends, ends[1:]))
-
-
 @dataclass(frozen=True, eq=False)
-class SeenColumns(ReadOnlyArrays):
-    """Columns other than those of families, then the components of families that the rows see.
-
-    With w their coefficients, those of all columns are u = B w. B has orthonormal columns. Components that rows do not
-    see keep the mean of their prior, whatever the size of the family is. Each family has at least one component.
+class Components(ReadOnlyArrays):
+    """Components in place of all columns: with w their coefficients, those of the columns are u = B w.
 
     Attributes:
-        parts: Columns other than those of families, and each family.
-        prior: Prior of w.
-        family: Family of each w, -1 for none, (n_new,).
+        parts: Parts of the columns, in the order of their components.
     """
 
     parts: tuple[FamilyPart, ...]
+
+    @cached_property
+    def family(self) -> IntArray:
+        """Family of each component, (n_new,)."""
+        return np.repeat([part.family for part in self.parts], [part.kept.shape[1] for part in self.parts])
+
+    @cached_property
+    def places(self) -> list[tuple[FamilyPart, slice]]:
+        """Each part, and the places of its components among those of all."""
+        ends = np.cumsum([0, *(part.kept.shape[1] for part in self.parts)]).tolist()
+        return list(zip(self.parts, map(slice, ends, ends[1:]), strict=True))
+
+    def combine(self, columns: FloatArray) -> FloatArray:
+        """Return `columns` times B, (..., n_new), from (..., n)."""
+        result = np.empty((*columns.shape[:-1], len(self.family)))
+        for part, place in self.places:
+            first, last = part.members[[0, -1]] if len(part.members) else (0, -1)
+            together = last - first == len(part.members) - 1  # a slice copies nothing
+            own = columns[..., first : last + 1] if together else columns[..., part.members]
+            result[..., place] = own @ part.kept
+        return result
+
+    def coefficients(self, combined: FloatArray) -> FloatArray:
+        """Return u = B w, (n, ...), from w (n_new, ...)."""
+        result = np.zeros((sum(len(part.members) for part in self.parts), *combined.shape[1:]))
+        for part, place in self.places:
+            result[part.members] = part.kept @ combined[place]
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class SeenColumns(Components):
+    """Columns other than those of families (family -1), then the components of families that the rows see.
+
+    B has orthonormal columns. Components that rows do not see keep the mean of their prior, whatever the size of the
+    family is. Each family has at least one component.
+
+    Attributes:
+        prior: Prior of w.
+    """
+
     prior: Prior
-    family: IntArray
 
     @staticmethod
     def from_rows(rows: FloatArray, prior: Prior, family: IntArray, least: float | None = None) -> SeenColumns:
@@ -174,17 +182,9 @@ class SeenColumns(ReadOnlyArrays):
             part = FamilyPart.from_columns(members, rows[:, members], number, shortest, aside)
             any_of_them = np.eye(len(members), 1)  # each family has a component, if rows see none of them
             parts.append(part if part.kept.size else replace(part, kept=any_of_them))
-        numbers = np.repeat([part.family for part in parts], [part.kept.shape[1] for part in parts])
         known = prior.select(others)  # families have independent priors
-        return SeenColumns(tuple(parts), replace(known, has=np.append(known.has, numbers[len(others) :] >= 0)), numbers)
-
-    def combine(self, columns: FloatArray) -> FloatArray:
-        """Return `columns` times B, (..., n_new), from (..., n)."""
-        return condense(self.parts, columns)
-
-    def coefficients(self, combined: FloatArray) -> FloatArray:
-        """Return u = B w, (n,), from w (n_new,)."""
-        return coefficients_of(self.parts, combined)
+        of_families = np.ones(sum(part.kept.shape[1] for part in parts[1:]), dtype=bool)
+        return SeenColumns(tuple(parts), replace(known, has=np.append(known.has, of_families)))
 
     def model(self, linear: LinearModel) -> LinearModel:
         """Return a linear model of u as one of w."""
@@ -198,11 +198,9 @@ class SeenColumns(ReadOnlyArrays):
             combined: Covariance of w, (n_new, n_new).
             unseen: Variance of the components of each family that rows do not see, (n_families,).
         """
-        n, places = sum(len(part.members) for part in self.parts), _places(self.parts)
-        left, result = np.empty((n, len(combined))), np.empty((n, n))
-        for part, place in zip(self.parts, places, strict=True):
-            left[part.members] = part.kept @ combined[place]
-        for part, place in zip(self.parts, places, strict=True):
+        left = self.coefficients(combined)
+        result = np.empty((len(left), len(left)))
+        for part, place in self.places:
             result[:, part.members] = left[:, place] @ part.kept.T
         for part, variance in zip(self.parts[1:], unseen, strict=True):
             aside = np.eye(len(part.members)) - part.kept @ part.kept.T

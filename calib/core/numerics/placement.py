@@ -194,13 +194,9 @@ def _plain_rows(points: Sequence[MovingPoint], free: BoolArray, part: slice) -> 
 
 
 def _eliminate_points(system: _System, noise: float, weak: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Solve for dp, the translations of the points; of equally good solutions the shortest.
+    """Return [D d] with the shortest best dp = D vec(R) - d, (n_free, 10), and the remaining rows [F f], (n, 10).
 
-    Args:
-        weak: The least weight of every |dp|.
-
-    Returns:
-        [D d] with dp = D vec(R) - d, (n_free, 10), and the remaining rows [F f], F vec(R) - f, (n, 10).
+    Every |dp| has at least the weight `weak`.
     """
     n_free = len(system.sigma)
     distances = np.zeros((n_free, n_free + 10))
@@ -216,10 +212,7 @@ def _eliminate_points(system: _System, noise: float, weak: float = 0.0) -> tuple
 def _best_rotation(system: _System, noise: float, guess: FloatArray, near: FloatArray | None) -> FloatArray:
     """Return the rotation (3, 3) with the smallest sum of squares, for a noise [m].
 
-    Where the system leaves a rotation open, it stays near the `guess` (3, 3).
-
-    Args:
-        near: The rotation for a similar noise, where it is known, (3, 3).
+    Where the system leaves it open, it stays near the `guess` (3, 3). `near` is that for a similar noise, if known.
     """
     _, searched = _eliminate_points(system, noise, _POINT_WEIGHT * system.weight)
     turn = _TURN_WEIGHT * system.weight * max(system.extent, _SMALLEST)

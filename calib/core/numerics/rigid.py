@@ -82,11 +82,8 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
         away = _perpendicular_vector(right[:kept], near - middle, -float(squares.mean()) - float(inside @ inside))
         candidates += [middle + inside] if kept == 3 else [middle + inside + away, middle + inside - away]
     misses = [float(np.linalg.norm(np.linalg.norm(points - candidate, axis=1) - lengths)) for candidate in candidates]
-    good = [
-        candidate
-        for candidate, miss in zip(candidates, misses, strict=True)
-        if miss <= _AS_GOOD * min(misses) + _SMALLEST
-    ]
+    most = _AS_GOOD * min(misses) + _SMALLEST
+    good = [candidate for candidate, miss in zip(candidates, misses, strict=True) if miss <= most]
     return min(good, key=lambda candidate: float(np.linalg.norm(candidate - near)))
 
 
@@ -94,9 +91,8 @@ def _perpendicular_vector(directions: FloatArray, near: FloatArray, square: floa
     """The vector perpendicular to determined directions (k, 3) with this squared length, on the side of `near` (3,)."""
     across = near - directions.T @ (directions @ near)
     if len(directions) == 2:
-        across = np.cross(directions[0], directions[1]) * (
-            1.0 if across @ np.cross(directions[0], directions[1]) >= 0 else -1.0
-        )
+        normal = np.cross(*directions)
+        across = normal if across @ normal >= 0 else -normal
     elif np.linalg.norm(across) < _SMALLEST:
         across = linalg.svd(np.vstack([directions, np.zeros((1, 3))]))[2][-1]
     return np.sqrt(max(square, 0.0)) * across / np.linalg.norm(across)

@@ -167,21 +167,18 @@ def find_sizes(
     *,
     rough: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
-    """Find scales of groups of rows, and sizes of families, without scatter.
+    """Find scales of groups of rows (n_groups,), and sizes of families (n_families,), without scatter.
 
     Rows of a group have one variance. So those of the components that they see are replaced by their triangular factor,
     and a step of the search takes no longer where there are more of them.
 
     Args:
         model: The rows, whitened by the stated noise, or in addition by known scales.
-        start: Scales of the rows of `model` to start from, (n_groups,); they matter only if there are priors.
+        start: Scales of the groups of rows to start from, (n_groups,); they matter only if there are priors.
         sought: Mask of the groups whose scales are to be found, (n_groups,); the others have the scale 1.
         family: Family of each parameter, -1 for none, (n_free,).
         sizes: Sizes to start from, over the expected ones, (n_families,); empty where there are no families.
         rough: Whether scales within a part of their uncertainty are enough.
-
-    Returns:
-        Scales of the groups (n_groups,), and sizes (n_families,).
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
@@ -347,13 +344,12 @@ def _explaining_sizes(model: MixedModel, left: FloatArray, freedom: FloatArray) 
         left: Residuals, (n_rows,).
         freedom: Degrees of freedom of each row, (n_rows,).
     """
-    squares = [
-        float(np.sum(left[own] ** 2)) / max(float(np.sum(freedom[own])), _LEAST_FREEDOM)
-        for own in (model.rows.group == g for g in model.unstated_groups)
-    ]
+    group, n = model.rows.group, len(model.rows.has_stated_noise)
+    squares = np.bincount(group, left**2, n) / np.maximum(np.bincount(group, freedom, n), _LEAST_FREEDOM)
+    squares = squares[model.unstated_groups]
     if model.scatters:
-        squares.append(float(np.mean(left**2)) / max(float(np.mean(model.spread)), _NOTHING))
-    return np.asarray(0.5 * np.log(np.array(squares) + _NOTHING))
+        squares = np.append(squares, np.mean(left**2) / max(float(np.mean(model.spread)), _NOTHING))
+    return np.asarray(0.5 * np.log(squares + _NOTHING))
 
 
 def _cost(at: SolvedModel) -> float:
@@ -385,8 +381,7 @@ def spread_of_sizes(covariance: FloatArray, family: IntArray) -> FloatArray:
 def unseen_variances(covariance: FloatArray, family: IntArray) -> FloatArray:
     """Return the variance of the components of each family that rows do not see, (n_families,); their C is 1.
 
-    Args:
-        covariance, family: As in `spread_of_sizes`, of what rows see.
+    `covariance` (n_free, n_free) and `family` (n_free,) are those of `spread_of_sizes`, of what rows see.
     """
     return np.asarray(1.0 + 2.0 * np.diag(spread_of_sizes(covariance, family)))
 

@@ -156,11 +156,6 @@ class Statistics(ReadOnlyArrays):
         wider = np.divide(std, self.std, out=np.full_like(std, factor), where=self.std > 0)
         return replace(self, std=std, wider=wider * self.wider)
 
-    def with_covariance(self, scaled_covariance: FloatArray, scales: FloatArray, has_prior: BoolArray) -> Statistics:
-        """Return the statistics with another covariance of u, (n, n), its scales (n,), and mask of priors (n,)."""
-        covariance, std, share = _parameter_uncertainty(scaled_covariance, scales, has_prior)
-        return replace(self, covariance=covariance, std=std, data_share=share)
-
 
 def status(
     data_share: FloatArray, relative_std: FloatArray, prior: BoolArray, placement: BoolArray
@@ -263,19 +258,20 @@ def statistics(
     scales: FloatArray,
     prior: Prior,
     poses: Scatter | None = None,
-    by_sizes: FloatArray | None = None,
     beyond_linear: BeyondLinear | None = None,
+    expand: Callable[[FloatArray], tuple[FloatArray, BoolArray]] | None = None,
 ) -> Statistics:
     """Return the statistics at the solution.
 
     Args:
         span: J T of the whitened rows, with T of `known`, (n_rows, rank).
         groups: Group of each row, (n_rows,); -1 for rows that were not read.
-        known: Information of these rows (times the root of `factors.slope`) and of the priors.
+        known: Information of these rows (times the root of `factors.slope`) and of the `prior`.
         factors: Factors on the noise, from the residuals.
         scales: s of the module docstring, (n_free,) [m, rad].
         poses, beyond_linear: Attributes of the result.
-        by_sizes: Addition to the covariance of u where sizes of priors were found, (n_free, n_free).
+        expand: Where the rows are those of components in place of parameters: returns the covariance of u
+            (n_free, n_free) from that of the components, and which parameters have priors (n_free,).
     """
     core = prior_shares(known, prior)  # with a robust loss, J is times the root of the slope in T
     if poses is not None:
@@ -288,20 +284,11 @@ def statistics(
             for group, factor in enumerate(factors.effective):
                 own = pulled[number == group]
                 core += (factors.slope * factor) ** 2 * (own.T @ own)
-    scaled_covariance = known.covariance_from(core)
-    if by_sizes is not None:
-        scaled_covariance = scaled_covariance + by_sizes
-    covariance, std, share = _parameter_uncertainty(scaled_covariance, scales, prior.has)
+    of_u = known.covariance_from(core)
+    of_u, has_prior = (of_u, prior.has) if expand is None else expand(of_u)
+    covariance = np.multiply.outer(scales, scales)
+    covariance *= (of_u + of_u.T) / 2  # symmetric to the last digit
+    hold(covariance)
+    std, share = np.sqrt(np.diag(covariance)), np.where(has_prior, np.clip(1.0 - np.diag(of_u), 0.0, 1.0), 1.0)
     decides = effective_parameters(known, prior)
     return Statistics(factors, factors.total_freedom, covariance, std, share, decides, poses, beyond_linear)
-
-
-def _parameter_uncertainty(
-    scaled_covariance: FloatArray, scales: FloatArray, has_prior: BoolArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Covariance (n_free, n_free) and std (n_free,) [m, rad] from that of u, and what data decide, (n_free,)."""
-    covariance = np.multiply.outer(scales, scales)
-    covariance *= (scaled_covariance + scaled_covariance.T) / 2  # symmetric to the last digit
-    hold(covariance)
-    decided = np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0)
-    return covariance, np.sqrt(np.diag(covariance)), np.where(has_prior, decided, 1.0)

@@ -12,8 +12,6 @@ from calib.core.base.arrays import FloatArray, IntArray
 ROWS_AT_ONCE = 1 << 13
 KEPT = 1 << 15
 """A product is kept if it has at most this many rows."""
-Places = IntArray | slice
-"""Indices or a slice of rows."""
 
 
 class Span:
@@ -39,7 +37,7 @@ class Span:
     def __len__(self) -> int:
         return self.shape[0]
 
-    def __getitem__(self, rows: Places) -> FloatArray:
+    def __getitem__(self, rows: IntArray | slice) -> FloatArray:
         """Return some rows, (..., k)."""
         if len(self) <= KEPT:
             known = self._whole[rows]

@@ -20,7 +20,7 @@ from calib.core.commands.next_steps import options_as_typed
 from calib.core.data.measurement_files import read_poses
 from calib.core.data.measurements import Measurements
 from calib.core.data.plan_files import read_pose_files
-from calib.core.fitting.joint_conventions import wrapped_terms
+from calib.core.fitting.pose_checks import wrapped_terms
 from calib.core.judging.verdict import unordered
 from calib.core.rows.observed import touches_without_target
 from calib.pictures import figures

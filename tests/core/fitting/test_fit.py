@@ -147,12 +147,17 @@ def test_fits_are_repeatable_to_the_last_bit(arm):
     np.testing.assert_array_equal(a.folds.errors.errors("after"), b.folds.errors.errors("after"))
 
 
-def test_an_unknown_loss_and_a_negative_seed_are_refused(arm):
-    data = noisy(arm, joints(60), SIGMA, 1)
-    with pytest.raises(calib.InputError, match="loss 'hubert'; did you mean 'huber'"):
-        calib.fit(arm, data, loss="hubert")
-    with pytest.raises(calib.InputError, match="seed -1"):
-        calib.fit(arm, data, seed=-1)
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"loss": "hubert"}, "loss 'hubert'; did you mean 'huber'"),
+        ({"seed": -1}, "seed -1"),
+        ({"starts": 0}, "starts 0"),
+    ],
+)
+def test_options_without_a_meaning_are_refused(arm, option, message):
+    with pytest.raises(calib.InputError, match=message):
+        calib.fit(arm, noisy(arm, joints(60), SIGMA, 1), **option)
 
 
 def test_a_failed_fit_leaves_no_calibrated_robot(failed, tmp_path):

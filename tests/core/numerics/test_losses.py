@@ -7,7 +7,6 @@ from calib.core.numerics.losses import (
     LOSSES,
     constant,
     efficiency,
-    median_length,
     robust_factors,
     scale_of,
     slopes,
@@ -69,12 +68,6 @@ def test_every_reading_is_weighed_by_the_constant_of_its_own_rows():
     distances, widths = np.full(4, 2.2), np.array([3, 1, 6, 3])
     expected = [min(1.0, constant("huber", k) / 2.2) for k in (3, 1, 6, 3)]
     np.testing.assert_allclose(weights_of("huber", distances, widths), expected, rtol=1e-12)
-
-
-def test_median_lengths_are_those_of_normal_readings():
-    normal = np.random.default_rng(2).standard_normal((100_000, 6))
-    expected = [np.median(np.linalg.norm(normal[:, :k], axis=1)) for k in (6, 1, 3)]
-    np.testing.assert_allclose(median_length(np.array([6, 1, 3])), expected, rtol=0.01)
 
 
 @pytest.mark.parametrize("widths", [np.full(200_000, 3), np.random.default_rng(4).integers(1, 7, 200_000)], ids=str)

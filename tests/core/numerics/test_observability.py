@@ -41,18 +41,6 @@ def test_the_root_squares_to_the_covariance_however_clear_the_rank_is(smallest, 
     assert known.root.shape[1] == known.rank.rank == int(np.sum(seen))
 
 
-@pytest.mark.parametrize("smallest", [1.0, 1e-7])
-def test_many_columns_with_priors_give_the_same_covariance(smallest):
-    rng = np.random.default_rng(4)
-    rows = rng.standard_normal((300, 150)) * np.where(np.arange(150) < 149, 1.0, smallest)
-    priors = np.eye(150)[:140]
-    known = information(rows, priors)
-    scale = np.append(np.ones(149), smallest)
-    inverse = np.linalg.inv((rows.T @ rows + priors.T @ priors) / np.outer(scale, scale)) / np.outer(scale, scale)
-    np.testing.assert_allclose(known.covariance * np.outer(scale, scale), inverse * np.outer(scale, scale), atol=1e-7)
-    np.testing.assert_allclose(known.root @ known.root.T, known.covariance, rtol=1e-7, atol=1e-12)
-
-
 @pytest.mark.parametrize("apart", [1.0, 1e-6], ids=["products keep the digits", "products lose them"])
 def test_many_columns_with_correlated_priors_have_the_information_of_all_rows(apart):
     rng, n, together, without = np.random.default_rng(4), 150, [3, 70, 71], [8, 9]

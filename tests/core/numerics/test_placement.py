@@ -18,10 +18,6 @@ def some_pose(generator: np.random.Generator) -> pin.SE3:
     return pin.SE3(Rotation.random(random_state=generator).as_matrix(), generator.uniform(-2, 2, 3))
 
 
-def carried(pose: pin.SE3, points: Array) -> Array:
-    return np.array([pose.act(point) for point in points])
-
-
 UNKNOWN, EXACT = np.full(3, np.inf), np.zeros(3)
 ONES = np.ones(15)
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calib.core.numerics.linear_model import LinearModel, RowGroups
 from calib.core.numerics.mixed_rows import SeenColumns
 from calib.core.numerics.prior import Prior
 from calib.core.numerics.size_search import find_sizes, unseen_variances, variance_by_sizes
+from tests.core.numerics.test_variance_components import of_one_group
 
 FAMILY = np.array([-1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 1])
 STEP = 1e-4
@@ -26,13 +26,6 @@ def posterior(rows, logs):
     prior = np.where(FAMILY < 0, 0.0, np.exp(-2.0 * np.append(logs, 0.0)[FAMILY]))
     covariance = np.linalg.inv(jacobian.T @ jacobian + np.diag(prior))
     return covariance @ jacobian.T @ measured, covariance
-
-
-def of_one_group(residuals, jacobian):
-    """Rows of one group, all of whose parameters have priors."""
-    n_rows, n = jacobian.shape
-    layout = RowGroups.from_groups(np.zeros(n_rows, dtype=int), 1)
-    return LinearModel(residuals, jacobian, Prior(np.ones(n, dtype=bool)), np.zeros(n), layout)
 
 
 def test_it_is_the_law_of_total_covariance(rows):
@@ -61,11 +54,6 @@ def test_without_families_nothing_is_added():
     assert not np.any(variance_by_sizes(np.eye(3), np.full(3, -1), np.ones(3)))
 
 
-def test_what_the_data_do_not_see_is_as_uncertain_as_its_size():
-    added = variance_by_sizes(np.eye(2), np.array([0, 0]), np.zeros(2))
-    assert np.allclose(added, 2.0 * np.eye(2))  # V = 1: a quarter of the way to a factor e^2 in variance
-
-
 @pytest.mark.quick(0)
 def test_intervals_of_families_that_are_hardly_seen_hold():
     rng = np.random.default_rng(1)
@@ -75,7 +63,7 @@ def test_intervals_of_families_that_are_hardly_seen_hold():
     for _ in range(300):
         jacobian = rng.standard_normal((60, 36)) * seen
         truth = rng.standard_normal(36)
-        model = of_one_group(-jacobian @ truth + rng.standard_normal(60), jacobian)
+        model = of_one_group(-jacobian @ truth + rng.standard_normal(60), jacobian, family)
         sizes = find_sizes(model, np.ones(1), np.array([False]), family, np.ones(3))[1][family]
         covariance = np.linalg.inv((jacobian * sizes).T @ (jacobian * sizes) + np.eye(36))
         u = -covariance @ (jacobian * sizes).T @ model.residuals
@@ -95,25 +83,12 @@ def test_what_rows_do_not_see_of_a_family_says_nothing_about_its_size():
     found = []
     for jacobian in (seen, unseen):
         family = np.zeros(jacobian.shape[1], dtype=int)
-        sizes = find_sizes(of_one_group(residuals, jacobian), np.ones(1), np.array([True]), family, np.ones(1))
+        sizes = find_sizes(of_one_group(residuals, jacobian, family), np.ones(1), np.array([True]), family, np.ones(1))
         found.append(np.concatenate(sizes))
     np.testing.assert_allclose(*found, rtol=1e-9)
 
 
-def test_components_that_rows_see_have_all_of_their_effect():
-    rng = np.random.default_rng(3)
-    family = np.array([0, -1, 0, 1, 0, 1, -1])
-    rows = rng.standard_normal((30, 7))
-    rows[:, 4] = rows[:, 0] - 2.0 * rows[:, 2]  # two components of three
-    seen = SeenColumns.from_rows(rows, Prior(family >= 0), family, 1e-6)
-    w = rng.standard_normal(len(seen.family))
-    assert list(seen.family) == [-1, -1, 0, 0, 1, 1]
-    assert list(seen.prior.has) == [False, False, True, True, True, True]
-    np.testing.assert_allclose(seen.combine(rows) @ w, rows @ seen.coefficients(w), atol=1e-12)
-    np.testing.assert_allclose(seen.combine(seen.coefficients(w)), w, atol=1e-12)
-
-
-def test_the_covariance_of_what_rows_see_gives_that_of_all_coefficients():
+def test_components_that_rows_see_have_all_effect_and_covariance_of_the_coefficients():
     rng = np.random.default_rng(4)
     family = np.array([0, -1, 0, 1, 0, 1, -1])
     rows, u = rng.standard_normal((30, 7)), rng.standard_normal(7)
@@ -126,7 +101,11 @@ def test_the_covariance_of_what_rows_see_gives_that_of_all_coefficients():
         return covariance, covariance + variance_by_sizes(covariance, family, u)
 
     seen = SeenColumns.from_rows(rows, Prior(family >= 0), family)
-    assert len(seen.family) == 5
+    assert list(seen.family) == [-1, -1, 0, 0, 1]  # two components of three, and one of two
+    assert list(seen.prior.has) == [False, False, True, True, True]
+    w = rng.standard_normal(5)
+    np.testing.assert_allclose(seen.combine(rows) @ w, rows @ seen.coefficients(w), atol=1e-12)
+    np.testing.assert_allclose(seen.combine(seen.coefficients(w)), w, atol=1e-12)
     known, of_seen = total(seen.combine(rows), seen.family, seen.combine(u))
     unseen = unseen_variances(known, seen.family)
     np.testing.assert_allclose(seen.covariance(of_seen, unseen), total(rows, family, u)[1], atol=1e-10)
@@ -145,7 +124,6 @@ def test_a_family_of_which_rows_see_nothing_keeps_the_variance_of_its_prior_and_
     of_seen = known + variance_by_sizes(known, seen.family, np.zeros(len(seen.family)))
     assert unseen[unseen_family] == pytest.approx(3.0)  # 1 + 2 t^2 with t = 1, the deviation that the prior leaves
     np.testing.assert_allclose(seen.covariance(of_seen, unseen)[3:, 3:], 3.0 * np.eye(2), atol=1e-12)
-    model = LinearModel(residuals, rows, prior, np.zeros(5), RowGroups.from_groups(np.zeros(30, dtype=np.intp), 1))
-    scales, sizes = find_sizes(model, np.ones(1), np.array([True]), family, np.ones(2))
+    scales, sizes = find_sizes(of_one_group(residuals, rows, family), np.ones(1), np.array([True]), family, np.ones(2))
     assert len(sizes) == 2
     assert np.all(np.isfinite([*scales, *sizes]))

@@ -62,13 +62,6 @@ def test_one_reading_and_one_prior_combine_as_the_mean_of_two_normal_numbers():
     assert result.effective_parameters == pytest.approx(result.data_share[0])
 
 
-def test_a_parameter_that_the_data_do_not_see_keeps_its_prior():
-    rows = np.column_stack([RNG.normal(size=30), np.zeros(30)])
-    result = statistics_of(rows, 1e-2, [True, True], scales=np.array([1.0, 2e-3]))
-    assert result.std[1] == pytest.approx(2e-3)
-    assert result.data_share == pytest.approx([1.0, 0.0], abs=1e-4)
-
-
 @pytest.mark.parametrize(
     ("share", "relative_std", "kind", "word"),
     [

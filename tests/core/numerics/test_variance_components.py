@@ -35,6 +35,12 @@ def model_of(seed, *, priors=(), groups=(40, 30), noise=(0.5, 3.0), gaps=()):
     return LinearModel(residuals, jacobian, Prior(has_prior), deviations, RowGroups.from_groups(group, len(groups)))
 
 
+def of_one_group(residuals, jacobian, family):
+    """Rows of one group; the parameters of families have priors."""
+    group = RowGroups.from_groups(np.zeros(len(residuals), dtype=np.intp), 1)
+    return LinearModel(residuals, jacobian, Prior(family >= 0), np.zeros(len(family)), group)
+
+
 def deviance(model, scales):
     """Minus twice the restricted log-likelihood, with dense matrices, up to a constant."""
     read = model.layout.group >= 0
@@ -153,8 +159,7 @@ def with_families(seed):
     jacobian = rng.standard_normal((120, 14)) * np.array([1.0, 1.0, *[0.5] * 6, *[3.0] * 6])
     u = rng.standard_normal(14) * np.array([1.0, 1.0, 3.0, 0.2])[[0, 1, *[2] * 6, *[3] * 6]]
     residuals = 0.5 * rng.standard_normal(120) - jacobian @ u
-    one = RowGroups.from_groups(np.zeros(120, dtype=np.intp), 1)
-    return LinearModel(residuals, jacobian, Prior(family >= 0), np.zeros(14), one), family
+    return of_one_group(residuals, jacobian, family), family
 
 
 @pytest.mark.quick(1)
@@ -186,8 +191,7 @@ def test_noise_beside_families_counts_the_parameters_without_a_prior():
     jacobian, family = rng.standard_normal((60, 40)), np.repeat([-1, 0], [36, 4])
     jacobian[:, 36:] *= 1e-9  # rows say nothing of the family
     residuals = rng.standard_normal(60)
-    one = RowGroups.from_groups(np.zeros(60, dtype=np.intp), 1)
-    model = LinearModel(residuals, jacobian, Prior(family >= 0), np.zeros(40), one)
+    model = of_one_group(residuals, jacobian, family)
     left = residuals - jacobian[:, :36] @ np.linalg.lstsq(jacobian[:, :36], residuals, rcond=None)[0]
     scales, _ = find_sizes(model, np.ones(1), ONE, family, np.ones(1))
     assert scales[0] == pytest.approx(np.sqrt(left @ left / 24), rel=0.01)

@@ -11,8 +11,7 @@ from pydantic import ValidationError
 
 from calib.core.base.errors import DescriptionError
 from calib.core.data.measurements import Measurements
-from calib.core.fitting.joint_conventions import may_be_wrapped, uncounted_turns
-from calib.core.fitting.pose_checks import first_unstated_visit, unmoved_joints
+from calib.core.fitting.pose_checks import first_unstated_visit, may_be_wrapped, uncounted_turns, unmoved_joints
 from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
 from calib.core.robots.terms.term import Condition, JointTerm, TermSection
@@ -122,19 +121,18 @@ def candidates(robot: Robot, data: Measurements) -> tuple[CandidateTerm, ...]:
     """Return a candidate for each kind of term, in the order of the registry, then remarks on terms that cannot be
     tried.
     """
-    kinds = [_candidate(name, robot, data) for name in TERMS if _is_tried_by_auto(name)]
+    kinds = []
+    for name in TERMS:
+        try:
+            if TERMS[name].in_auto:
+                kinds.append(_candidate(name, robot, data))
+        except DescriptionError as error:  # a broken package of others
+            kinds.append(CandidateTerm(name, refusal=str(error)))
     uncounted = uncounted_turns(robot, data.joints)
     if uncounted:
         tried = [kind.term for kind in kinds if kind.sections and TERMS[kind.term].counts_turns]
         kinds += [CandidateTerm(name, refusal=may_be_wrapped(uncounted, [f"a {name}"])) for name in tried]
     return tuple(kinds)
-
-
-def _is_tried_by_auto(name: str) -> bool:
-    try:
-        return TERMS[name].in_auto
-    except DescriptionError:  # a broken package of others: a message says so
-        return True
 
 
 def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[TermSection, ...]:
@@ -143,21 +141,17 @@ def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[Term
     for section in sections:
         kind = TERMS[section.term]
         having = {term.joint for term in robot.terms if type(term) is kind and term.answers(section)}
-        if not having & ({*robot.joint_names} if section.joint == "all" else {section.joint}):
-            missing.append(section)
-            continue
-        names = robot.joint_names if section.joint == "all" else ()
-        missing += [section.model_copy(update={"joint": name}) for name in names if name not in having]
+        joints = robot.joint_names if section.joint == "all" else (section.joint,)
+        left = [joint for joint in joints if joint not in having]
+        all_miss = len(left) == len(joints)
+        missing += [section] if all_miss else [section.model_copy(update={"joint": joint}) for joint in left]
     return tuple(missing)
 
 
 def _candidate(name: str, robot: Robot, data: Measurements) -> CandidateTerm:
-    try:
-        kind = TERMS[name]
-    except DescriptionError as error:  # a broken package of others
-        return CandidateTerm(name, refusal=str(error))
-    joints = [joint for joint in robot.joint_names if _shows(kind, joint, robot, data)]
-    refused = why_term_unknown(kind, data) or ("" if joints else _nothing_shows(name, kind, robot, data))
+    kind = TERMS[name]
+    joints, hidden = _joints_that_show(name, kind, robot, data)
+    refused = why_term_unknown(kind, data) or hidden
     if refused:
         return CandidateTerm(name, refusal=refused)
     try:
@@ -198,24 +192,20 @@ def why_term_unknown(kind: type[JointTerm], data: Measurements) -> str:
     return ""
 
 
-def _shows(kind: type[JointTerm], joint: str, robot: Robot, data: Measurements) -> bool:
-    """Whether a joint can show a kind of term in these measurements; of a coupling, the driving joint is meant."""
-    if kind.needs_more(robot.mechanism.dimensions[joint]):
-        return False
+def _joints_that_show(name: str, kind: type[JointTerm], robot: Robot, data: Measurements) -> tuple[list[str], str]:
+    """Joints (driving ones, of couplings) that can show a kind of term in these measurements; or why there are none."""
+    uncounted = uncounted_turns(robot, data.joints) if kind.counts_turns else []
+    unmoved = unmoved_joints(robot, data.joints) if kind.follows_command else []
+    needs = {joint: kind.needs_more(robot.mechanism.dimensions[joint]) for joint in robot.joint_names}
+    from_one_side: list[str] = []
     if Condition.APPROACH in kind.depends_on:
-        directions = data.approach_directions[:, robot.joint_names.index(joint)]
-        if not np.ptp(directions) > 0:
-            return False
-    if kind.counts_turns and joint in uncounted_turns(robot, data.joints):
-        return False
-    return not kind.follows_command or joint not in unmoved_joints(robot, data.joints)
-
-
-def _nothing_shows(name: str, kind: type[JointTerm], robot: Robot, data: Measurements) -> str:
-    uncounted = uncounted_turns(robot, data.joints)
-    if kind.counts_turns and uncounted:
-        return may_be_wrapped(uncounted, [f"a {name}"])
-    if Condition.APPROACH in kind.depends_on and not np.any(np.ptp(data.approach_directions, axis=0) > 0):
-        return "no joint was approached from both sides"
-    needs = {kind.needs_more(robot.mechanism.dimensions[joint]) for joint in robot.joint_names}
-    return "no joint moved that could show it" if "" in needs else needs.pop()
+        same = np.ptp(data.approach_directions, axis=0) == 0
+        from_one_side = [joint for joint, is_same in zip(robot.joint_names, same, strict=True) if is_same]
+    hidden = {*uncounted, *unmoved, *from_one_side, *(joint for joint, need in needs.items() if need)}
+    if hidden < set(needs):
+        return [joint for joint in needs if joint not in hidden], ""
+    if uncounted:
+        return [], may_be_wrapped(uncounted, [f"a {name}"])
+    if len(from_one_side) == len(needs):
+        return [], "no joint was approached from both sides"
+    return [], "no joint moved that could show it" if "" in needs.values() else next(iter(needs.values()))

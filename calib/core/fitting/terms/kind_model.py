@@ -139,8 +139,7 @@ class KindModel:
             return None
         condensed = np.zeros((len(added), int(np.sum(kept))))
         condensed[moved] = vectors[:, kept] * np.sqrt(values[kept]) / sizes[:, None]
-        spread = np.stack([model.coefficients(column) for column in condensed.T], axis=1)
-        spread *= self._unknowns.scales[:, None]
+        spread = self._unknowns.scales[:, None] * model.components.coefficients(condensed)
         rows = np.flatnonzero(np.any(spread, axis=1))
         names, sections = tuple(self._unknowns.names[k] for k in rows), list[TermSection]()
         for kind in self._kinds:

@@ -14,7 +14,7 @@ from calib.core.base.words import text_table
 from calib.core.fitting.error_sets import STATES, ErrorSet, error_table
 from calib.core.fitting.fit import errors_on
 from calib.core.fitting.fitted import Fit
-from calib.core.fitting.moved_frame import validation_errors
+from calib.core.fitting.unseen_errors import validation_errors
 from calib.core.instruments.kind import Part
 from calib.core.judging.claim import Claim
 from calib.core.results.sections.grid import Grid, GridColumn, GridNumber

@@ -111,7 +111,7 @@ def describe(chain: ArmChain, urdf_path: str) -> Description:
         urdf=urdf_path,
         name_mot=chain.joints,
         base=BaseSection(frame=chain.base, pose="unknown"),
-        targets={chain.target: TargetSection(frame=chain.target, position="unknown", sigma="500 mm")},
+        targets={chain.target: TargetSection(frame=chain.target, position="unknown", sigma=0.5)},
         parametrisation=default_sections(),
     )
 

@@ -22,6 +22,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib import DescriptionError, Origin, Parameter, twist_of_edit
+from calib.core.numerics import linalg
 from medrue.paper_tables import PARAMETERS
 
 FloatArray = NDArray[np.floating[Any]]
@@ -210,7 +211,7 @@ def _read_parameters(origins: Mapping[str, Origin]) -> FloatArray:
     """Invert `_xyz` and `_rpy`: the 36 values that a URDF's origins stand for."""
     xyz, rpy = (np.array([getattr(origins[name], part) for name in _COORDINATES]) for part in ("xyz", "rpy"))
     n = len(PARAMETERS)
-    lengths = np.linalg.lstsq(_ALL_XYZ.reshape(-1, n), xyz.ravel(), rcond=None)[0]
-    angles = np.linalg.lstsq(_ALL_RPY.reshape(-1, n), (rpy - _rpy(lengths)).ravel(), rcond=None)[0]
+    lengths = linalg.lstsq(_ALL_XYZ.reshape(-1, n), xyz.ravel())
+    angles = linalg.lstsq(_ALL_RPY.reshape(-1, n), (rpy - _rpy(lengths)).ravel())
     # the last digit is open: 1e-15 m is far below any drawing
     return np.round(lengths + angles, 15) + 0.0  # no negative zeros

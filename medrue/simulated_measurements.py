@@ -58,7 +58,7 @@ def measurement_file(seed: int, sigma: float) -> str:
     return text.getvalue()
 
 
-@click.command("simulated_measurements")
+@click.command("simulated_measurements", context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("out", metavar="OUT.csv")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the measurement noise.")
 @click.option("--sigma-mm", type=NumberRange(0, 1000), default=0.04, show_default=True, help="Noise on each axis [mm].")

@@ -59,7 +59,12 @@ class ShownSet:
 
     def table(self) -> PoseTable:
         """Return one row for each reading of a point, pose by pose; without points, one for each visit and target."""
-        points = [(instrument, rows) for instrument, part, rows in self.errors.parts() if part.is_position]
+        read = self.errors.data.readings
+        points = [
+            (instrument, rows)
+            for instrument, part, rows in self.errors.parts()
+            if part.is_position and len(rows) == 3 and instrument.points(read[instrument.name].values) is not None
+        ]
         parts = [self._rows_of(instrument, rows) for instrument, rows in points]
         if not any(len(table) for table, _ in parts):
             return self._predicted_points()

@@ -135,7 +135,7 @@ class Mjcf:
     def _inertial(self, element: Element, name: str, link: Link, moving: bool) -> None:
         inertial = link.inertial
         if inertial is None or inertial.mass <= 0:
-            carried = (self.links[link].inertial for link in self._fixed_links(name) - {name})
+            carried = (self.links[link].inertial for link in self._fixed_links(name) - {name}) if moving else ()
             if moving and sum(fixed.mass for fixed in carried if fixed) <= 0:
                 inertial = Inertial(_LEAST_MASS, np.zeros(3), _LEAST_INERTIA * np.eye(3))
                 self.remarks.append(f"link {name} moves and has no mass: {_LEAST_MASS:g} kg added for the simulator")

@@ -249,9 +249,11 @@ def find_expanded_uncertainty(file: SomeFile) -> tuple[int, list[str]] | None:
 def expanded_uncertainty_lines(file: SomeFile, known: tuple[int, list[str]]) -> list[str]:
     """Return the lines with U95 of each axis; a point's U95 is used for each coordinate."""
     header, names = known
-    columns = [[name] for name in names]
+    columns, points = [[name] for name in names], 0
     for column, name in zip(columns, names, strict=True):
-        if m := _U95.fullmatch(name):
+        m = _U95.fullmatch(name)
+        points += bool(m and not m[1])
+        if m and (m[1] or points == 1):  # of several U95 of a point, the first counts
             column[:] = [f"U95 {axis.upper()}" + (f" [{m[2]}]" if m[2] else "") for axis in m[1] or "XYZ"]
     table = []
     for k, line in enumerate(file.lines):

@@ -22,6 +22,7 @@ from calib.core.base.files import read_text
 from calib.core.base.words import count_noun
 from calib.core.data.layouts import is_comment
 from calib.core.data.tables import Table, read_table
+from calib.core.instruments.rotations import Form, not_rotations
 from calib.core.judging.rounded_joint_values import usual_step
 
 
@@ -85,6 +86,7 @@ HEADERS = {
 """Endings of column names, and the form that they mean; rx ry rz are ambiguous."""
 
 
+_TYPED = 0.1  # deviation of a rotation that was typed or rounded
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _STEMS = ("j", "joint", "axis", "a", "rax", "ax", "theta", "q", "actualq", "jointposition", "actualjointpositions")
 """Beginnings of joint column names, the most certain first: q1 to q4 may be a quaternion."""
@@ -152,14 +154,17 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
                 f" {', '.join(table.names)})"
             )
         joints, positions, rotations = order[:n], order[n : n + 3], order[n + 3 :]
-    numbers = {
-        k: table.column(table.names[k], None) if table.units[k] is None else np.array(table.text(table.names[k]), float)
-        for k in (*joints, *positions, *rotations)
-    }
+    bare = replace(table, units=(None,) * len(names))
+    numbers = {k: bare.column(table.names[k], None) for k in (*joints, *positions, *rotations)}
     units = (*(table.units[k] for k in joints), _unit(table, positions), _unit(table, rotations))
     steps = [_step(table, columns, numbers) for columns in (*([k] for k in joints), positions, rotations)]
     q, p, r = (np.stack([numbers[k] for k in columns], axis=1) for columns in (joints, positions, rotations))
     rows = tuple(f"line {line}" for line in table.lines)
+    forms: dict[int, Form] = {4: "quaternion", 9: "matrix"}
+    if len(rotations) in forms:
+        bad, what = not_rotations(forms[len(rotations)], r, _TYPED)
+        if len(bad):
+            raise DataError(f"{path}, {rows[bad[0]]}: the rotation is not {what}; correct it, or leave the row out")
     return Pairs(str(path), rows, q, p, r, units, np.array(steps), words)
 
 

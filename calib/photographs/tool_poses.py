@@ -172,10 +172,11 @@ def poses_of_images(
         DataError: No image has a row; or see `read_tool_poses`.
     """
     names, tool = read_tool_poses(path, robot=robot, angles=angles)
-    remarks = [f"{name}: {path} has no pose of this image{nearest(name, names)}" for name in seen if name not in names]
+    wanted, known = set(seen), set(names)
+    remarks = [f"{name}: {path} has no pose of this image{nearest(name, names)}" for name in seen if name not in known]
     if len(remarks) == len(seen):
         raise DataError(
             f"{path}: no row names any of the photographs ({', '.join(list(seen)[:3])}, ...); its rows are called"
             f" {', '.join(names[:3])}, ..."
         )
-    return {name: pose for name, pose in zip(names, tool, strict=True) if name in set(seen)}, remarks
+    return {name: pose for name, pose in zip(names, tool, strict=True) if name in wanted}, remarks

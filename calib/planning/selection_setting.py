@@ -124,7 +124,7 @@ def prepare(
     for number in exclude:
         if not 0 <= number < len(poses):
             raise InputError(f"exclude: there is no candidate {number}; they are numbered 0 to {len(poses) - 1}")
-        allowed[number] = False
+        allowed[int(number)] = False
     points = points_of(assembled.positions) if minimum_distance > 0 else np.zeros((len(poses), 0))
     done_rows, n_before, same = None, 0, np.zeros(len(pairs.pose), dtype=bool)
     if measured is not None:

@@ -258,13 +258,19 @@ def near_measured(candidates: FloatArray, measured: FloatArray) -> BoolArray:
 def _require_different(poses: Poses) -> None:
     columns = [*poses.joints.T, *(() if poses.approach is None else poses.approach.T), *poses.context.values()]
     rounded = np.round(np.nan_to_num(np.stack(columns)) / _SAME)
+    weights = np.random.default_rng(0).random(len(rounded))
+    sums = sum(weight * column for weight, column in zip(weights, rounded, strict=True))  # equal where all columns are
+    _, number, count = np.unique(sums, return_inverse=True, return_counts=True)
+    some = np.flatnonzero(count[number] > 1)
+    rounded = rounded[:, some]
     order = np.lexsort(rounded)
     again = 1 + np.flatnonzero(np.all(np.diff(rounded[:, order]) == 0, axis=0))  # places in this order
     if len(again):
         place = again[np.argmin(order[again])]
         more = f" (and {len(again) - 1} more)" if len(again) > 1 else ""
+        later, first = poses.labels[some[order[place]]], poses.labels[some[order[place - 1]]]
         raise DataError(
-            f"{poses.labels[order[place]]}{more}: the same joint values as {poses.labels[order[place - 1]]},"
+            f"{later}{more}: the same joint values as {first},"
             " under the same conditions; each candidate can be chosen once, so give it once"
         )
 

@@ -213,9 +213,8 @@ def study(
         raise InputError(f"draws {draws}: must be 2 or more")
     settings = Settings(sigma=sigma, loss=find_loss(loss), seed=seed)
     shared = np.random.SeedSequence(seed)
-    chunks = [range(start, min(start + _CHUNK, draws)) for start in range(0, draws, _CHUNK)]
     done, failures = list[Draws](), list[str]()
-    with Workers(executor, len(chunks)) as workers:
+    with Workers(executor, -(-draws // _CHUNK)) as workers:
         source: SimulatedDraws | Measurements
         if not resample:
             source = simulated_draws(robot, poses, truth, sigma, noise)
@@ -227,6 +226,7 @@ def study(
             need = "needs measurements, as calib.read_measurements reads them; these are poses alone"
             raise InputError(f"resample: {need}")
         setting = _prepare(robot, source, settings, elsewhere, shared, draws)
+        chunks = [range(start, min(start + _CHUNK, draws)) for start in range(0, draws, _CHUNK)]
         if setting.compiled and workers is not None:
             _chunk(setting, range(1))  # compiles once, so that workers only load the result
         for chunk, (some, why) in zip(chunks, results_in_order(partial(_chunk, setting), chunks, workers), strict=True):

@@ -44,7 +44,9 @@ def example(name):
 
 def template(folder, name):
     robot = templates.robot_of(folder, name)
-    return robot, templates.poses_of(robot, name, 12)
+    reach = templates.REACH[name]
+    off = np.random.default_rng(3).uniform(-reach, reach, (12, len(robot.joint_names)))
+    return robot, robot.home + off
 
 
 ROBOTS = {

@@ -434,6 +434,23 @@ def test_a_file_that_is_not_as_it_seems_is_named(stock: Path, tmp_path: Path, he
     assert said in " ".join(candidates(calib.load(stock), pairs)[0].reading.mistakes(pairs))
 
 
+@pytest.mark.parametrize(
+    ("header", "row", "said"),
+    [
+        (f"{IN_DEGREES},x,y,z,rx,ry,rz", "0,,0,0,0,0,1,2,3,0,0,0", "line 2, column 'j2': is empty"),
+        (
+            "j1,j2,j3,j4,j5,j6,x,y,z,qw,qx,qy,qz",
+            "0,0,0,0,0,0,1,2,3,0,0,0,0",
+            "line 2: the rotation is not a quaternion",
+        ),
+    ],
+)
+def test_cells_that_say_nothing_are_named(tmp_path: Path, header: str, row: str, said: str) -> None:
+    (tmp_path / "pairs.csv").write_text(f"{header}\n{row}\n{row}\n")
+    with pytest.raises(DataError, match=said):
+        read_pairs(tmp_path / "pairs.csv", JOINTS)
+
+
 def test_readings_that_fit_alike_are_refused(stock: Path, tmp_path: Path) -> None:
     level = np.array([0.0, -np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0])
     q = level + joint_values(1, size=0.1)

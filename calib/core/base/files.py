@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from calib.core.base.errors import CalibrationError, InputError
-from calib.core.base.own_files import MANIFEST, manifest_of, note_input, require_replaceable, signed
+from calib.core.base.own_files import MANIFEST, manifest_of, note_input, note_output, require_replaceable, signed
 from calib.core.base.replacing import clear_leftovers, new_folder, replace_folder
 
 _FILE_ENDINGS = (
@@ -135,6 +135,7 @@ def write_files(
         for temporary, target in complete:
             with _explain_errors(target):
                 temporary.replace(target)
+                note_output(target.stat())
 
 
 def _manifests(files: Mapping[Path, bytes]) -> dict[Path, bytes]:
@@ -240,6 +241,6 @@ def _permissions(path: Path, default: int) -> int:
 def _explain_errors(path: Path) -> Iterator[None]:
     try:
         yield
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
+    except (OSError, RuntimeError) as error:  # a link that leads to itself is a RuntimeError
+        reason = (getattr(error, "strerror", None) or str(error)).lower()
         raise InputError(f"{path}: cannot be written ({reason}); choose another place for the output") from None

@@ -51,6 +51,13 @@ def note_input(state: os.stat_result) -> None:
         noted.add((state.st_dev, state.st_ino))
 
 
+def note_output(state: os.stat_result) -> None:
+    """Say that the present command, if one runs, has written a file: its number may be that of a file that is gone."""
+    noted = _inputs.get()
+    if noted is not None:
+        noted.discard((state.st_dev, state.st_ino))
+
+
 def signed(content: bytes, comment: str = "") -> bytes:
     """Return a file with the line that says who wrote it: JSON, which has no comments, XML of any kind, or lines.
 

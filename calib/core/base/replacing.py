@@ -38,6 +38,7 @@ def new_folder(parent: Path, prefix: str = _NEW) -> Iterator[Path]:
     while True:
         path = Path(tempfile.mkdtemp(dir=parent, prefix=prefix))
         try:
+            path.chmod(0o700)  # whatever the umask is
             handle = os.open(path, os.O_RDONLY)
         except FileNotFoundError:  # another program took it for a leftover
             continue

@@ -82,7 +82,7 @@ class LinearFit:
 
     def with_parameters(self, effects: FloatArray) -> LinearFit:
         """Return the fit with effects Z (n_rows, k) as further parameters, as far as they are visible."""
-        columns, left, values, vectors = self._unit_effects(effects[:, np.any(effects != 0.0, axis=0)])
+        columns, left, values, vectors = self._unit_effects(effects[:, np.linalg.norm(effects, axis=0) > 0.0])
         seen = values > ABSORBED
         root = vectors[:, seen] / np.sqrt(values[seen])
         absorbed, fewer = left @ root, int(np.sum(seen))
@@ -101,7 +101,7 @@ class LinearFit:
         Deviations are infinite for zero columns, and where all effects together leave no degree of freedom. An absorbed
         effect is uncertain and gets the size 0, since the residuals along it are only rounding of the solver.
         """
-        made = np.flatnonzero(np.any(effects != 0.0, axis=0))
+        made = np.flatnonzero(np.linalg.norm(effects, axis=0))
         columns, left, values, vectors = self._unit_effects(effects[:, made])
         inverse, seen = vectors / (values + ABSORBED) @ vectors.T, vectors[:, values > ABSORBED]
         found = -inverse @ (seen @ (seen.T @ (columns.T @ self.rows.residuals)))

@@ -79,8 +79,11 @@ class EffectSetting:
     @cached_property
     def position_rows(self) -> dict[str, IntArray]:
         """Rows of the position, (3,), in a reading of each instrument that measures one in space."""
-        parts = self.fit.identification.parts()
-        return {instrument.name: rows for instrument, part, rows in parts if part.is_position and len(rows) == 3}
+        rows: dict[str, list[int]] = {}
+        for instrument, part, own in self.fit.identification.parts():
+            if part.is_position:
+                rows.setdefault(instrument.name, []).extend(own)
+        return {name: np.array(own) for name, own in rows.items() if len(own) == 3}
 
     @cached_property
     def first(self) -> int:

@@ -250,6 +250,8 @@ def _orientations(robot: Robot, data: Measurements, seen: _SeenTargets) -> dict[
         if robot.description.targets[instrument.target].orientation == "known":
             continue
         chosen = seen.is_seen[readings.visits] & np.isfinite(turned).all(axis=(1, 2))
+        if not np.any(chosen):
+            continue
         carriers = _carriers(robot, data, readings.visits[chosen], [seen.pairs[instrument.target]])[0][:, :3, :3]
         base = robot.mechanism.placement(seen.base).rotation
         turns = scipy.spatial.transform.Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen])

@@ -221,3 +221,17 @@ def test_lines_are_those_of_the_csv_writer_with_the_digits_of_repr():
         names = [f"c{k}" for k in range(len(columns))]
         csv.writer(expected, lineterminator="\n").writerows([names, *zip(*texts, strict=True)])
         assert format_table(list(zip(names, columns, strict=True))) == expected.getvalue()
+
+
+def test_files_are_read_alike_in_pieces_of_any_size(tmp_path, monkeypatch):
+    """Pieces end between the bytes of a letter and between those of a line's end."""
+    content = "\ufeff# größer\r\npose,q1 [mm]\r\n" + "".join(f"Ü{k},{k}.5\r\n" for k in range(600)) + "# Ende\r\nlast,7"
+    (tmp_path / "table.csv").write_bytes(content.encode())
+    for size in (1, 2, 3, 1 << 20):
+        monkeypatch.setattr("calib.core.base.files._PIECE", size)
+        table = read_table(tmp_path / "table.csv")
+        assert table.comments == ("größer", "Ende")
+        assert table.text("pose") == [f"Ü{k}" for k in range(600)] + ["last"]
+        assert tuple(table.lines) == (*range(3, 603), 604)
+        assert table.rows[-2:] == (("Ü599", "599.5"), ("last", "7"))
+        np.testing.assert_allclose(1e3 * table.column("q1", "length"), [*np.arange(600) + 0.5, 7.0])

@@ -17,6 +17,7 @@ from calib.core.judging.next_step import next_step
 from calib.core.judging.reasons import Code
 from calib.core.judging.rounded_joint_values import joint_steps, rounding
 from calib.core.judging.row_derivatives import scales
+from calib.core.judging.rules_reach import _covariance_given
 from calib.core.judging.verdict import unordered
 from tests.core.judging.situations import SIGMA
 from tests.project import EXAMPLES, copied
@@ -378,3 +379,16 @@ def test_values_a_turn_beyond_the_limits_need_a_look_even_where_the_joint_moves_
         verdict = calib.fit(robot, calib.as_measurements(robot, values, points)).verdict
         assert verdict.grade == grade
         assert (grade == "CHECK") == any("beyond the URDF's limits of joint_6" in r.text for r in verdict.reasons)
+
+
+def test_what_is_left_uncertain_if_some_were_known_is_the_inverse_of_their_information():
+    root = np.random.default_rng(4).standard_normal((7, 7)) * 10.0 ** np.arange(-6, 1)[:, None]
+    known = np.array([False, True, False, True, True, False, False])
+    result = _covariance_given(root @ root.T, known)
+    information = np.linalg.inv(root).T @ np.linalg.inv(root)
+    expected = np.linalg.inv(information[np.ix_(~known, ~known)])
+    square = np.outer(*2 * [np.sqrt(np.diag(expected))])
+    np.testing.assert_allclose(result[np.ix_(~known, ~known)] / square, expected / square, atol=1e-5)
+    assert np.all(result[known] == 0)
+    undetermined = np.diag([2.0, 0.0, 3.0])  # one that nothing moves
+    np.testing.assert_array_equal(_covariance_given(undetermined, np.array([False, True, False])), undetermined)

@@ -188,3 +188,21 @@ def test_before_keeps_a_target_near_where_it_is_expected(tmp_path):
         errors = fit.placed.positions(q) - measured
         assert np.allclose(errors[:, 0], fit.identification.before["tip"], rtol=0, atol=1e-12)
     assert moved["near"] < 0.010 < 0.020 < moved["far"]
+
+
+def test_positions_and_poses_may_be_read_at_different_visits(tmp_path):
+    text = (
+        "  reflector: {frame: flange, xyz: [20 mm, 0 mm, 50 mm], position: unknown, sigma: 5 mm}\n"
+        "  sensor: {frame: flange, position: unknown, orientation: unknown, sigma: 5 mm, sigma_angle: 20 mrad}\n"
+        "instruments:\n"
+        "  tracker: {kind: position, target: reflector, sigma: 0.03 mm}\n"
+        "  camera: {kind: pose, target: sensor, sigma: 0.2 mm, sigma_angle: 1 mrad}\n"
+    )
+    lines = (EXAMPLES / "arm.yaml").read_text().splitlines(keepends=True)
+    target = next(line for line in lines if line.startswith("  reflector:"))
+    robot = calib.load(copied(tmp_path, EXAMPLES / "arm.yaml", (target, text)))
+    both = calib.simulate(robot, robot.sample(60, seed=1), None, 2)
+    apart = both.with_readings({"tracker": np.arange(40), "camera": np.arange(40, 60)})
+    fit = calib.fit(robot, apart)
+    assert fit.converged
+    assert fit.verdict.grade == "PASS"

@@ -22,7 +22,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from calib.core.base.arrays import FloatArray
-from calib.core.base.errors import DescriptionError, UrdfError
+from calib.core.base.errors import DescriptionError, UrdfError, require_known
 from calib.core.base.files import read_bytes
 from calib.core.base.registry import list_entry_points, load_named
 from calib.core.robots.urdf.reader import NUMBER, UNSUPPORTED_TYPES, Span, Triple, UrdfJoint, UrdfReader, from_root
@@ -111,12 +111,12 @@ class UrdfText:
         """Return the file with the `xyz` [m] and `rpy` [rad] of the named joints' origins replaced.
 
         Numbers that do not change keep their spelling; a missing `<origin>` or attribute is added only if needed.
-        `UrdfError` for a number that is not finite, or an origin that the file cannot hold.
+        `UrdfError` for an unknown joint, a number that is not finite, or an origin that the file cannot hold.
         """
-        edits: list[Edit] = []
-        for joint in self.joints:
-            if joint.name in origins:
-                edits += self._origin_edits(joint, *origins[joint.name])
+        edits, joints = list[Edit](), {joint.name: joint for joint in self.joints}
+        for name, origin in origins.items():
+            require_known(name, joints, f"{self.path}: no joint", UrdfError)
+            edits += self._origin_edits(joints[name], *origin)
         if not edits:
             return self.source
         result = apply_edits(self.source, edits)

@@ -191,6 +191,8 @@ def test_numbers_spelled_with_character_references_are_replaced_whole():
     assert b'xyz="1.0 2.0 4.0"' in edited
 
 
-def test_numbers_that_are_not_finite_are_not_written():
+def test_unknown_joints_and_numbers_that_are_not_finite_are_not_written():
+    with pytest.raises(UrdfError, match="no joint 'jj'; did you mean 'j'"):
+        parse_urdf(TWO.format(FIXED).encode()).with_origins({"jj": ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))})
     with pytest.raises(UrdfError, match="joint 'j', xyz: 'nan' is not a number"):
         parse_urdf(TWO.format(FIXED).encode()).with_origins({"j": ((0.0, 0.0, math.nan), (0.0, 0.0, 0.0))})

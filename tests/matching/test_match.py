@@ -437,7 +437,7 @@ def test_a_file_that_is_not_as_it_seems_is_named(stock: Path, tmp_path: Path, he
 @pytest.mark.parametrize(
     ("header", "row", "said"),
     [
-        (f"{IN_DEGREES},x,y,z,rx,ry,rz", "0,,0,0,0,0,1,2,3,0,0,0", "line 2, column 'j2': is empty"),
+        (f"{IN_DEGREES},x,y,z,rx,ry,rz", "0,,0,0,0,0,1,2,3,0,0,0", "line 2, column 'J2': is empty"),
         (
             "j1,j2,j3,j4,j5,j6,x,y,z,qw,qx,qy,qz",
             "0,0,0,0,0,0,1,2,3,0,0,0,0",

@@ -311,16 +311,17 @@ def unlike_fleet(fit: Fit) -> Iterator[Reason]:
 
 def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
     """Yield each free parameter with an expected error, and its deviation over the allowed one."""
-    parameters, free = fit.nominal.parameters, fit.unknowns.index.tolist()
-    distances = np.abs(fit.robot.values - parameters.expected_si)
-    for k, std, share in zip(free, fit.statistics.std, fit.statistics.data_share, strict=True):
-        parameter, away = parameters[k], float(distances[k]) / parameters[k].sigma_si
+    known, free = fit.nominal.parameters, fit.unknowns.index
+    parameters, distances = list(known), np.abs(fit.robot.values - known.expected_si)[free] / known.sigma_si[free]
+    numbers = (free, distances, fit.statistics.std, fit.statistics.data_share)
+    for k, away, std, share in zip(*(of.tolist() for of in numbers), strict=True):
+        parameter = parameters[k]
         if (parameter.placement and not parameter.prior) or parameter.family:  # a family's size is found
             continue
         if parameter.prior:
             yield parameter, away / float(np.sqrt(max(share, SMALLEST_SHARE)))
         else:
-            yield parameter, away - 2.0 * float(std) / parameter.sigma_si
+            yield parameter, away - 2.0 * std / parameter.sigma_si
 
 
 def hardly_determined(fit: Fit) -> Iterator[Reason]:
@@ -331,7 +332,8 @@ def hardly_determined(fit: Fit) -> Iterator[Reason]:
             f"{rank.doubt}: one combination of parameters is hardly determined. Hold one more parameter (`calib check`"
             " names it), or measure other poses"
         )
-    free = [fit.nominal.parameters[k] for k in fit.unknowns.index.tolist()]
+    parameters = list(fit.nominal.parameters)
+    free = [parameters[k] for k in fit.unknowns.index.tolist()]
     loose = [
         f"{p.name} (+-{quantity_text(std, 'deg', '.1f')})"
         for p, std in zip(free, fit.statistics.std, strict=True)

@@ -114,8 +114,9 @@ class UrdfText:
         `UrdfError` for an unknown joint, a number that is not finite, or an origin that the file cannot hold.
         """
         edits, joints = list[Edit](), {joint.name: joint for joint in self.joints}
+        for unknown in origins.keys() - joints.keys():
+            require_known(unknown, joints, f"{self.path}: no joint", UrdfError)
         for name, origin in origins.items():
-            require_known(name, joints, f"{self.path}: no joint", UrdfError)
             edits += self._origin_edits(joints[name], *origin)
         if not edits:
             return self.source

@@ -43,7 +43,7 @@ marginal likelihood,
 where the added I is the curvature of the prior of log a_f at the expected size: if the data say nothing, V is 1 and not
 infinite. Coefficients that the data decide hardly change; unseen coefficients vary as widely as their size might. On a
 simulated six-axis arm with curves, single intervals of 95 % held the truth in 91.7 % of cases without this addition,
-and in 95 % with it (`docs/theory/joint_terms.md`). It fails for sizes that are uncertain by more than a factor of e.
+and in 95 % with it. It fails for sizes that are uncertain by more than a factor of e.
 
 When it fails. Two families of similar columns share their effect, or one has all of it: the posterior has two maxima,
 and this finds one.

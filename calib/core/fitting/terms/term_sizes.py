@@ -25,8 +25,8 @@ Results:
                  finds them again, and counts their uncertainty (`calib.core.numerics.size_search`)
 
 Weighting the fit itself by the error of joints was no better on a tracked arm, and much worse where a camera reads
-several points of a pose (`docs/theory/joint_terms.md`). Time and temperature are no kinds of this model unless they are
-named: an error that grows with them was worse on every part of a file that lay outside their range.
+several points of a pose. Time and temperature are no kinds of this model unless they are named: an error that grows
+with them was worse on every part of a file that lay outside their range.
 
 When it fails. Joint errors of many milliradians look curved. Blocks of a small part of joint space are neighbours of
 each other: a kind that predicts them need not hold elsewhere. Of kinds that look alike, one stays.

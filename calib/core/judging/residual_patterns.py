@@ -265,11 +265,12 @@ def _tests(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_EffectTes
             tested, residuals.freedom - k, 1
         )
         ratios = np.maximum(gains / np.maximum(k, 1) / rest, 0.0)
-        ends = np.cumsum([len(each[3]) for each in alike])[:-1]
-        parts = (np.split(array, ends) for array in (tested, ratios, k, gains, coefficients))
-        for (effect, *_), use, *found in zip(alike, *parts, strict=True):
-            if np.any(use):
-                yield _EffectTests(effect, np.flatnonzero(use), residuals.freedom, *(array[use] for array in found))
+        ends = np.cumsum([0, *(len(each[3]) for each in alike)]).tolist()
+        for (effect, *_), first, end in zip(alike, ends, ends[1:], strict=False):
+            use = first + np.flatnonzero(tested[first:end])
+            if len(use):
+                found = (array[use] for array in (ratios, k, gains, coefficients))
+                yield _EffectTests(effect, use - first, residuals.freedom, *found)
 
 
 def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: FloatArray, limit: float) -> float:

@@ -313,8 +313,9 @@ def seen_frame(swept: Sweep, pair: RelativeFrame) -> tuple[FloatArray, FloatArra
 
 def relative_pose(swept: Sweep, pair: RelativeFrame) -> FloatArray:
     """Return the pose of frame b in frame a, (n, 4, 4) [m]."""
-    poses = np.tile(np.eye(4), (len(swept.rotation), 1, 1))
+    poses = np.zeros((len(swept.rotation), 4, 4))
     poses[:, :3, :3], poses[:, :3, 3] = seen_frame(swept, pair)
+    poses[:, 3, 3] = 1.0
     return poses
 
 

@@ -57,9 +57,7 @@ def test_an_arm_whose_tool_never_tilts_is_fitted_as_it_is(tmp_path):
     )
     low, high = np.array([[-2, -2, 0, -3], [2, 2, 0.2, 3]])
     q = np.random.default_rng(0).uniform(low, high, (40, 4))
-    fit = calib.fit(
-        robot, calib.simulate(robot, q, 5e-5, 1)
-    )  # heights of base and tool are told from each other by sigma
+    fit = calib.fit(robot, calib.simulate(robot, q, 5e-5, 1))  # sigma separates the heights of base and tool
     assert fit.verdict.grade == "PASS"
     assert fit.rms < 1e-4
 

@@ -223,4 +223,4 @@ def _seen_readings(robot: Robot, data: Measurements) -> dict[str, _SeenReadings]
 def _poses(robot: Robot, joints: FloatArray, base: int, frame: int) -> FloatArray:
     """Pose of a frame of the mechanism in the measurement frame at joint values (n, n_joints), (n, 4, 4) [m]."""
     pair = RelativeFrame("frame", base, frame, False, (0, 1, 2))
-    return kinematics.relative_pose(kinematics.sweep(robot.mechanism, joints, (pair,)), pair)
+    return kinematics.relative_pose(kinematics.sweep(robot.mechanism, joints, (pair,)), base, frame)

@@ -129,7 +129,7 @@ def poses_of_engine(robot, q, context, target=0, *, sharp=True):
         passive[closed.ok] -= np.linalg.solve(slope[closed.ok], gap[closed.ok, :, None])[:, :, 0]
     pair = robot.mechanism.targets[target]
     joints = robot.mechanism.all_joints(at.actuated, passive)
-    poses = kinematics.relative_pose(kinematics.sweep(robot.mechanism, joints, (pair,)), pair)
+    poses = kinematics.relative_pose(kinematics.sweep(robot.mechanism, joints, (pair,)), pair.a, pair.b)
     poses[~closed.ok] = np.nan
     return poses
 

@@ -30,6 +30,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -190,19 +191,18 @@ def patterns(residuals: LinearFit, setting: EffectSetting, kinds: Container[Kind
 
 def _kept(tested: Iterable[_EffectTests]) -> list[tuple[_EffectTests, int]]:
     """Keep the most significant effect of each name of kinds that are tried by the dozen, and all of the others."""
-    kept: dict[tuple[Kind, str, int], tuple[_EffectTests, int]] = {}
+    kept: dict[tuple[object, ...], list[tuple[_EffectTests, int]]] = {}
     for tests in tested:
         kind, name = tests.effects.kind, tests.effects.name
-        if Trait.BY_THE_DOZEN not in kind.traits:
-            kept |= {(kind, name, len(kept) + row): (tests, row) for row in range(len(tests.numbers))}
-            continue
-        others = [kept[kind, name, -1]] if (kind, name, -1) in kept else []
-        kept[kind, name, -1] = min([*others, (tests, tests.best)], key=lambda of: of[0].significance(of[1]))
-    return list(kept.values())
+        if Trait.BY_THE_DOZEN in kind.traits:
+            kept.setdefault((kind, name), []).append((tests, tests.best))
+        else:
+            kept |= {(kind, name, len(kept), row): [(tests, row)] for row in range(len(tests.numbers))}
+    return [min(some, key=lambda of: of[0].significance(of[1])) if len(some) > 1 else some[0] for some in kept.values()]
 
 
-def _moments(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Yield Z^T Z and Z^T M Z, (m, k, k), and Z^T r, (m, k), of the m effects with k columns of each of some."""
+def _moments(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield Z^T Z, (m, k, k), and Z^T r above (J T)^T Z, (1 + rank, k, m), of the m effects with k columns of each."""
     span, bases = residuals.span, {id(effect.base): effect.base for effect in some}
     tall, n = len(span) > KEPT, len(span.root)  # then J T is not stored: it is computed from sums over rows
     known = [span[:]] if not tall else [span.jacobian] if span.more is None else [span.jacobian, span.more]
@@ -225,10 +225,9 @@ def _moments(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[tuple[Fl
             products[k] = products[k] + each.reshape(*product.shape[1:], *factors.shape[1:])
     for square, product in zip(squares, products, strict=True):
         moments = product.swapaxes(0, 1).reshape(-1, square.shape[1], len(square))
-        absorbed = moments[1:]
         if tall:
-            absorbed = np.concatenate([np.tensordot(span.root.T, absorbed[:n], 1), absorbed[n:]])
-        yield square, square - np.einsum("rim,rjm->mij", absorbed, absorbed), moments[0].T
+            moments = np.concatenate([moments[:1], np.tensordot(span.root.T, moments[1 : n + 1], 1), moments[n + 1 :]])
+        yield square, moments
 
 
 def _rows_of_visits(visit: IntArray, at_once: int) -> Iterator[IntArray]:
@@ -246,11 +245,14 @@ def _squares(sums: FloatArray, factors: FloatArray) -> FloatArray:
 
 def _tests(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_EffectTests]:
     """Test effects, all with equally many columns at once; not absorbed ones, nor without a degree of freedom left."""
-    by_width: dict[int, list[tuple[Effects, FloatArray, FloatArray, FloatArray]]] = {}
-    for effect, moments in zip(some, _moments(residuals, some), strict=True):
-        by_width.setdefault(moments[0].shape[1], []).append((effect, *moments))
+    by_width: dict[int, list[tuple[Effects, FloatArray, FloatArray]]] = {}
+    for effect, (square, moments) in zip(some, _moments(residuals, some), strict=True):
+        by_width.setdefault(square.shape[1], []).append((effect, square, moments))
     for alike in by_width.values():
-        squares, left, score = (np.concatenate([each[k] for each in alike]) for k in (1, 2, 3))
+        effects, each_square, each_moments = zip(*alike, strict=True)
+        squares, moments = np.concatenate(each_square), np.concatenate(each_moments, axis=2)
+        score, absorbed = moments[0].T, moments[1:]
+        left = squares - np.einsum("rim,rjm->mij", absorbed, absorbed)
         size = np.sqrt(np.diagonal(squares, axis1=1, axis2=2))
         shown = np.all(size > 0, axis=1)
         size = np.where(shown[:, None], size, 1.0)
@@ -265,12 +267,13 @@ def _tests(residuals: LinearFit, some: Sequence[Effects]) -> Iterator[_EffectTes
             tested, residuals.freedom - k, 1
         )
         ratios = np.maximum(gains / np.maximum(k, 1) / rest, 0.0)
-        ends = np.cumsum([0, *(len(each[3]) for each in alike)]).tolist()
-        for (effect, *_), first, end in zip(alike, ends, ends[1:], strict=False):
-            use = first + np.flatnonzero(tested[first:end])
-            if len(use):
-                found = (array[use] for array in (ratios, k, gains, coefficients))
-                yield _EffectTests(effect, use - first, residuals.freedom, *found)
+        use = np.flatnonzero(tested)
+        ends = np.cumsum([0, *(len(square) for square in each_square)])
+        parts = [slice(*of) for of in pairwise(np.searchsorted(use, ends).tolist())]
+        found = [array[use] for array in (ratios, k, gains, coefficients)]
+        for effect, first, part in zip(effects, ends.tolist(), parts, strict=False):
+            if part.stop > part.start:
+                yield _EffectTests(effect, use[part] - first, residuals.freedom, *(array[part] for array in found))
 
 
 def _chance(residuals: LinearFit, tests: _EffectTests, row: int, explained: FloatArray, limit: float) -> float:

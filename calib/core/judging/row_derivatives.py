@@ -18,6 +18,7 @@ from calib.core.base.memoize import memoize
 from calib.core.data.measurements import Measurements, Poses
 from calib.core.fitting.fitted import Fit
 from calib.core.instruments.kind import Comparison, FrameInstrument, Part, Readings, View
+from calib.core.numerics.rigid import cross_matrices
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import relative_poses
 from calib.core.robots.robot import Robot
@@ -153,8 +154,8 @@ def _parts(setting: EffectSetting) -> Iterator[tuple[str, Part, int, BoolArray]]
     """Yield instrument, part, its group, and which rows of a reading are its own, (n_rows,)."""
     groups = [(group.name, group.part) for group in setting.fit.whitening.groups]
     for instrument, part, rows in setting.fit.identification.parts():
-        group, own = groups.index((instrument.group, part)), np.isin(np.arange(instrument.n_rows), rows)
-        yield instrument.name, part, group, own
+        own = np.bincount(rows, minlength=instrument.n_rows) > 0
+        yield instrument.name, part, groups.index((instrument.group, part)), own
 
 
 def _whitened_alone(setting: EffectSetting, name: str, change: FloatArray) -> FloatArray:
@@ -203,7 +204,7 @@ def _frame_derivative(setting: EffectSetting) -> dict[str, FloatArray]:
         columns = result[name]
         columns[:, rows, :3] = np.eye(3)
         if name in points:
-            columns[:, rows, 3:6] = np.cross(points[name][:, None], np.eye(3)).swapaxes(1, 2)
+            columns[:, rows, 3:6] = cross_matrices(points[name])
             columns[:, rows, 6] = points[name]
             predicted = points[name] + np.nan_to_num(fit.identification.after[name][:, rows])
             columns[:, rows, 7:] = predicted[:, :, None] * np.eye(3)

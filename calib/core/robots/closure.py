@@ -79,7 +79,7 @@ def motion(
             closures = np.concatenate(residual(mechanism, actuated, passive)[1:], axis=2)
         by_joint = -np.linalg.solve(closures[:, :, : passive.shape[1]], closures[:, :, passive.shape[1] :])
         jacobian += derivative_by(mechanism.select_passive) @ by_joint
-    rotation, position = kinematics.seen_frame(swept, target)
+    rotation, position = kinematics.seen_frame(swept, target.a, target.b)
     return position, rotation, jacobian, by_joint
 
 

@@ -172,7 +172,8 @@ def _measured_direction(
     if section.frame is None:
         return down
     pair = RelativeFrame(section.frame, 0, mechanism.joint(section.frame), True, ())
-    rotation, _ = kinematics.seen_frame(kinematics.sweep(mechanism, joints, (pair,), poses_only=True), pair)
+    swept = kinematics.sweep(mechanism, joints, (pair,), poses_only=True)
+    rotation, _ = kinematics.seen_frame(swept, pair.a, pair.b)
     return np.asarray(np.einsum("nab,nb->na", rotation, down))
 
 

@@ -84,11 +84,11 @@ def relative_poses(
     mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
 ) -> FloatArray:
     """Return the poses of frames b in frames a at assembled poses, (n_pairs, n, 4, 4) [m]."""
-    poses = np.empty((len(pairs), len(configurations.actuated), 4, 4))
+    poses = np.empty((len(configurations.actuated), len(pairs), 4, 4))
+    a, b = np.array([(pair.a, pair.b) for pair in pairs], dtype=np.intp).reshape(-1, 2).T
     for part, swept in sweeps(mechanism, configurations, pairs, loops=False):
-        for k, pair in enumerate(pairs):
-            poses[k, part] = kinematics.relative_pose(swept, pair)
-    return poses
+        poses[part] = kinematics.relative_pose(swept, a, b)
+    return poses.swapaxes(0, 1)
 
 
 def relative_motion(

@@ -277,7 +277,7 @@ def sweep(
 def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:
     """Return the pair's constrained components, (n, n_rows) [m, rad]."""
     if pair.full_pose:
-        logs = [pin.log6(pin.SE3(pose)).vector for pose in relative_pose(swept, pair)]
+        logs = [pin.log6(pin.SE3(pose)).vector for pose in relative_pose(swept, pair.a, pair.b)]
         return np.array(logs).reshape(-1, 6)[:, pair.rows]
     a, b = swept.index[pair.a], swept.index[pair.b]
     offset = swept.translation[:, b] - swept.translation[:, a]
@@ -303,19 +303,19 @@ def gap_maps(swept: Sweep) -> FloatArray:
     return _with_moments(points, axes)
 
 
-def seen_frame(swept: Sweep, pair: RelativeFrame) -> tuple[FloatArray, FloatArray]:
-    """Return rotation (n, 3, 3) and position (n, 3) [m] of frame b in frame a."""
-    a, b = swept.index[pair.a], swept.index[pair.b]
-    inverse_a = swept.rotation[:, a].transpose(0, 2, 1)
-    offset = swept.translation[:, b] - swept.translation[:, a]
-    return np.matmul(inverse_a, swept.rotation[:, b]), np.matmul(inverse_a, offset[:, :, None])[:, :, 0]
+def seen_frame(swept: Sweep, a: int | IntArray, b: int | IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return rotation (n, 3, 3) and position (n, 3) [m] of frame b in frame a; (n, k, ...) of k pairs."""
+    from_a, to_b = swept.index[a], swept.index[b]
+    inverse_a = np.swapaxes(swept.rotation[:, from_a], -1, -2)
+    offset = swept.translation[:, to_b] - swept.translation[:, from_a]
+    return np.matmul(inverse_a, swept.rotation[:, to_b]), np.matmul(inverse_a, offset[..., None])[..., 0]
 
 
-def relative_pose(swept: Sweep, pair: RelativeFrame) -> FloatArray:
-    """Return the pose of frame b in frame a, (n, 4, 4) [m]."""
-    poses = np.zeros((len(swept.rotation), 4, 4))
-    poses[:, :3, :3], poses[:, :3, 3] = seen_frame(swept, pair)
-    poses[:, 3, 3] = 1.0
+def relative_pose(swept: Sweep, a: int | IntArray, b: int | IntArray) -> FloatArray:
+    """Return the pose of frame b in frame a, (n, 4, 4) [m]; (n, k, ...) of k pairs."""
+    rotation, position = seen_frame(swept, a, b)
+    poses = np.zeros((*position.shape[:-1], 4, 4))
+    poses[..., :3, :3], poses[..., :3, 3], poses[..., 3, 3] = rotation, position, 1.0
     return poses
 
 

@@ -205,7 +205,7 @@ class Robot(RobotData, HintedObject):
         configurations, pair = self.assemble(q), self._relative_frame(frame)
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
         swept = kinematics.sweep(self.mechanism, joints, (pair,), poses_only=True)
-        transforms = kinematics.relative_pose(swept, pair)
+        transforms = kinematics.relative_pose(swept, pair.a, pair.b)
         return transforms[0] if np.ndim(q) == 1 else transforms
 
     def _relative_frame(self, frame: str | None) -> RelativeFrame:

@@ -145,7 +145,7 @@ class _Work:
         pairs = tuple(self.all_pairs[k] for k in chosen)
         comparisons: list[Comparison] = []
         for pair, own in zip(pairs, chosen.values(), strict=True):
-            rotation, position = kinematics.seen_frame(swept, pair)
+            rotation, position = kinematics.seen_frame(swept, pair.a, pair.b)
             comparison = self._compare(own, View(rotation[visits[own]], position[visits[own]]))
             assert isinstance(comparison, Comparison)  # the kind looks at frames
             comparisons.append(comparison)
@@ -225,7 +225,7 @@ def views_of_instruments(
         poses = np.tile(np.eye(4), (len(readings), 1, 1))
         for number, pair in enumerate(robot.pairs[instrument.name]):
             chosen = np.flatnonzero(readings.pairs == number)
-            poses[chosen] = kinematics.relative_pose(swept, pair)[readings.visits[chosen]]
+            poses[chosen] = kinematics.relative_pose(swept, pair.a, pair.b)[readings.visits[chosen]]
         result[name] = View(poses[:, :3, :3], poses[:, :3, 3])
     return result
 

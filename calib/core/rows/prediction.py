@@ -33,6 +33,7 @@ from calib.core.base.memoize import memoize
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.numerics import linalg
+from calib.core.numerics.rigid import cross_matrices
 from calib.core.robots.acceleration import compile_for, many
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import linearise
@@ -170,7 +171,7 @@ def without_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray
     (n, n_targets, 3) [m], derivatives (..., n_parameters), three rows for each position.
     """
     points = positions.reshape(-1, 3)
-    turns = np.cross(np.eye(3), (points - points.mean(axis=0))[:, None]).swapaxes(1, 2)
+    turns = cross_matrices(points - points.mean(axis=0))
     common = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
     basis = linalg.orth(common)
     flat = rows.reshape(len(common), -1)

@@ -96,7 +96,7 @@ def _uncertain_at_used(fit: Fit) -> float:
 
 def _uncertain_at(fit: Fit, q: FloatArray, context: Context | None = None) -> float:
     """Root mean square uncertainty of positions at poses q (n, n_actuated) without their common motion [m]."""
-    return _size(_slope(fit, q, context), fit.uncertainty.covariance_of(fit.robot))
+    return _size(fit, _slope(fit, q, context))
 
 
 def _well_known(fit: Fit, at_used: float) -> float:
@@ -220,9 +220,13 @@ def _widening_sentence(fit: Fit, sample: Callable[[], FloatArray]) -> str:
     slope = _slope(fit, sample()) if np.any(terms) and not fit.computed else np.zeros((0, 0))
     if not len(slope):
         return ""
-    at_used, covariance = _uncertain_at_used(fit), fit.uncertainty.covariance_of(fit.robot)
-    away, known = _size(slope, covariance), np.append(terms, np.zeros(len(covariance) - len(terms), dtype=bool))
-    if away <= _well_known(fit, at_used) or away <= WIDENED * _size(slope, _covariance_given(covariance, known)):
+    at_used, away = _uncertain_at_used(fit), _size(fit, slope)
+    if away <= _well_known(fit, at_used):
+        return ""
+    covariance = fit.uncertainty.covariance_of(fit.robot)
+    known = np.append(terms, np.zeros(len(covariance) - len(terms), dtype=bool))
+    given = np.vdot(slope.T @ slope, _covariance_given(covariance, known))
+    if away <= WIDENED * np.sqrt(3.0 * given / len(slope)):
         return ""
     used = f"{quantity_text(at_used, 'mm', '.2g')} at the poses used"
     return f"{quantity_text(away, 'mm', '.2g')} RMS there, and to {used}, not counting base and tool"
@@ -242,10 +246,9 @@ def _slope(fit: Fit, q: FloatArray, context: Context | None = None) -> FloatArra
     return rows.reshape(-1, rows.shape[-1])
 
 
-def _size(slope: FloatArray, covariance: FloatArray) -> float:
+def _size(fit: Fit, slope: FloatArray) -> float:
     """Root mean square uncertainty of positions with this derivative (3 n, n_uncertain) [m]; 0 where there are none."""
-    spread = np.vdot(slope.T @ slope, covariance)  # a product with its own transpose: half of the work
-    return float(np.sqrt(max(3.0 * float(spread) / max(len(slope), 1), 0.0)))
+    return float(np.sqrt(3.0 * max(fit.uncertainty.sum_of_variances(fit.robot, slope), 0.0) / max(len(slope), 1)))
 
 
 def _covariance_given(covariance: FloatArray, known: BoolArray) -> FloatArray:

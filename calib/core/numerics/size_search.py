@@ -73,6 +73,7 @@ _LEAST_PART = 1e-3  # least noise and scatter, over what would explain all that 
 _LEAST_KNOWN = 0.1  # the same, over what would explain all that columns with known priors leave, too
 _LEAST_ALONE = EXACT / 10.0  # least noise where nothing scatters: all that families leave is noise then [SI]
 _SMALL = 0.1  # a falling size is set to its bound below this part of the start of the search
+_FALLS = 0.25  # least step of Newton by which a size falls: it is 1/2 where the cost grows with its square
 _AT_BOUND = 1e-9  # difference of a logarithm from its bound
 _OTHERS = 3.0  # difference of logarithms between the largest noise and what the flat columns leave of its rows alone
 _LEAST_FREEDOM = 1e-6  # of a group whose rows flat columns explain but for rounding
@@ -115,6 +116,7 @@ def likeliest_sizes(
 def _descend(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: float) -> SolvedModel:
     """Solved model with the lowest cost that steps from `at` reach; sizes with the mask `none` (n_sizes,) stay."""
     model, gain = at.model, np.inf
+    information: FloatArray = np.zeros((len(at.logs), len(at.logs)))
     for _ in range(_ROUNDS):
         _, slope, curvature = _prior(at)
         gradient = at.gradient + slope
@@ -134,7 +136,7 @@ def _descend(at: SolvedModel, bounds: _Bounds, none: BoolArray, least_gain: floa
     falling = (at.logs < bounds.first + np.log(_SMALL)) & (at.logs > bounds.least + _AT_BOUND) & ~none
     falling[model.n_families : model.n_families + len(model.unstated_groups)] = False  # noise is never zero
     if np.any(falling):
-        falling &= at.gradient + _prior(at)[1] > 0.0
+        falling &= at.gradient + _prior(at)[1] > _FALLS * np.diag(information)
     without = model.solve(np.where(falling, bounds.least, at.logs)) if np.any(falling) else at
     return without if _cost(without) <= _cost(at) else at
 

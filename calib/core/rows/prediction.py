@@ -300,18 +300,29 @@ class ParameterUncertainty(ReadOnlyArrays):
         """Extend a mask of free parameters that count, (n_free,), by all other uncertain quantities, (n_uncertain,)."""
         return np.append(counts, np.ones(len(self.lasting(robot)) - len(counts), dtype=bool))
 
-    @memoize
     def covariance_of(self, robot: Robot) -> FloatArray:
         """Return the covariance of all uncertain quantities of a calibrated robot, (n_uncertain, n_uncertain) [SI]."""
-        if self.undecided is None and self.joint_error == 0.0:
-            return self.covariance
-        total = np.diag(np.where(self.lasting(robot), 0.0, self.joint_error**2))
-        if self.undecided is not None:
-            spread = self.undecided.sensitivity_of(names := self.lasting_names(robot))
-            total[: len(names), : len(names)] += spread @ spread.T
-        n_free = len(self.covariance)
+        further, n_free = self._further(robot), len(self.covariance)
+        total: FloatArray = further @ further.T
         total[:n_free, :n_free] += self.covariance
         return total
+
+    def sum_of_variances(self, robot: Robot, rows: FloatArray) -> float:
+        """Return the sum of variances of numbers with these derivatives by uncertain quantities, (n, n_uncertain)."""
+        of_free = rows[:, : len(self.covariance)]
+        by_free = np.vdot(of_free.T @ of_free, self.covariance)  # a product with its own transpose: half of the work
+        return float(by_free + np.sum((rows @ self._further(robot)) ** 2))
+
+    @memoize
+    def _further(self, robot: Robot) -> FloatArray:
+        """Standard deviations of all that is uncertain but the free parameters, each a direction, (n_uncertain, k)."""
+        errors = np.flatnonzero(~self.lasting(robot))
+        further = np.zeros((len(self.lasting(robot)), len(errors)))
+        further[errors, np.arange(len(errors))] = self.joint_error
+        if self.undecided is None:
+            return further
+        spread = self.undecided.sensitivity_of(self.lasting_names(robot))
+        return np.hstack([np.pad(spread, ((0, len(errors)), (0, 0))), further])
 
     def linearise(
         self, robot: Robot, q: FloatArray, context: Context, near: FloatArray | None = None, *, turns: bool = True
@@ -358,8 +369,8 @@ class ParameterUncertainty(ReadOnlyArrays):
             UnreachablePoseError: A loop stays open.
         """
         context = Context.neutral(*q.shape) if context is None else context
-        known, shape = self.covariance_of(robot), (len(q), len(robot.mechanism.targets), 3)
-        known = known if counts is None else known * np.outer(counts, counts)
+        further, free, shape = self._further(robot), len(self.covariance), (len(q), len(robot.mechanism.targets), 3)
+        counts = np.ones(len(further), dtype=bool) if counts is None else counts
         points = np.empty(shape)
         whole, without_common = ([np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]] for _ in range(2))
         for start in range(0, len(q), CHUNK):
@@ -367,16 +378,19 @@ class ParameterUncertainty(ReadOnlyArrays):
             seed = None if near is None else near[some]
             with compile_for(len(q), many(robot.mechanism)):
                 linear = self.linearise(robot, q[some], context.select(some), seed, turns=turns)
-            points[some], jacobian = linear.positions, linear.jacobian
-            spread = (jacobian.reshape(-1, len(known)) @ known).reshape(jacobian.shape)  # C is read once
-            parts = [(jacobian, spread)]
+            points[some], jacobian = linear.positions, linear.jacobian * counts
+            flat = jacobian.reshape(-1, len(further))
+            by_free, by_further = flat[:, :free] @ self.covariance, flat @ further  # the covariance is read once
+            parts = [[array.reshape(*jacobian.shape[:3], -1) for array in (flat[:, :free], by_free, by_further)]]
             if common is not None:
-                motion, following = common
+                motion, following = common[0], common[1] * counts
                 columns = motion.columns(*target_poses(linear.robot, linear.configurations))[:, :, : jacobian.shape[2]]
-                parts.append((jacobian - columns @ following, spread - columns @ (following @ known)))
-            for to, (derivative, spread) in zip((whole, without_common), parts, strict=False):
+                followed = (following[:, :free], following[:, :free] @ self.covariance, following @ further)
+                parts.append([array - columns @ of for array, of in zip(parts[0], followed, strict=True)])
+            for to, arrays in zip((whole, without_common), parts, strict=False):
                 for covariance, rows in zip(to, ROWS, strict=False):
-                    covariance[some] = spread[:, :, rows] @ derivative[:, :, rows].swapaxes(2, 3)
+                    derivative, by_covariance, others = (array[:, :, rows] for array in arrays)
+                    covariance[some] = by_covariance @ derivative.swapaxes(2, 3) + others @ others.swapaxes(2, 3)
         hold(points, *whole, *without_common)
         measured = PositionUncertainty(
             points,

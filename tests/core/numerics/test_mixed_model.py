@@ -206,6 +206,19 @@ def test_a_search_ends_at_the_minimum_where_its_first_steps_are_too_long():
     np.testing.assert_allclose(logs[[0, 2]], best.x, atol=0.03)
 
 
+def test_a_small_size_at_its_minimum_keeps_no_other_from_zero():
+    """The search begins beside the minimum of the first family, above zero of the second, which is not there."""
+    rng = np.random.default_rng(0)
+    columns = np.linalg.qr(rng.normal(size=(200, 25)))[0] * np.repeat([400.0, 3.0, 10.0], [12, 12, 1])
+    values = columns @ np.concatenate([0.02 * rng.standard_normal(12), np.zeros(12), [1.0]]) + rng.standard_normal(200)
+    model = MixedModel.from_rows(of_one_group(columns, values, [0] * 12 + [1] * 12 + [FLAT]))
+    best = likeliest_sizes(model).logs
+    assert best[0] < np.log(0.03)
+    rough = likeliest_sizes(model, best + [0.05, 2.0, 0.0], least_gain=0.05).logs
+    np.testing.assert_allclose(rough, best + [0.05, 0.0, 0.0], atol=1e-9)
+    assert rough[1] == least_sizes(model)[1]
+
+
 def test_components_count_by_the_noise_of_the_step():
     """They are 40 times as long as one sigma, and the noise is a thousand times as large."""
     rng = np.random.default_rng(2)

@@ -214,8 +214,8 @@ def test_a_small_size_at_its_minimum_keeps_no_other_from_zero():
     model = MixedModel.from_rows(of_one_group(columns, values, [0] * 12 + [1] * 12 + [FLAT]))
     best = likeliest_sizes(model).logs
     assert best[0] < np.log(0.03)
-    rough = likeliest_sizes(model, best + [0.05, 2.0, 0.0], least_gain=0.05).logs
-    np.testing.assert_allclose(rough, best + [0.05, 0.0, 0.0], atol=1e-9)
+    rough = likeliest_sizes(model, best + np.array([0.05, 2.0, 0.0]), least_gain=0.05).logs
+    np.testing.assert_allclose(rough, best + np.array([0.05, 0.0, 0.0]), atol=1e-9)
     assert rough[1] == least_sizes(model)[1]
 
 

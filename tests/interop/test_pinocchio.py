@@ -8,6 +8,7 @@ import yaml
 import calib
 from calib.exporting.formats import export
 from tests.exporting.read_back import urdf_links
+from tests.project import ROOT
 
 ROUNDING = 1e-12
 """Poses are products of about 20 transforms of lengths up to 1 m, loops are closed to 1e-12 m."""
@@ -16,6 +17,14 @@ ROUNDING = 1e-12
 def test_tool_is_where_the_closed_form_says(case) -> None:
     for expected, links in zip(case.tool, case.poses, strict=True):
         assert np.abs(links["tool"][:3, 3] - expected).max() < ROUNDING
+
+
+def test_the_urdf_has_exactly_the_links_of_the_robot(case) -> None:
+    nominal, written = (
+        {frame.name for frame in pin.buildModelFromUrdf(str(path)).frames if frame.type == pin.FrameType.BODY}
+        for path in (ROOT / "urdf" / "medrue.urdf", case.folder / "robot.urdf")
+    )
+    assert written == nominal == set(case.robot.urdf.links)
 
 
 @pytest.mark.quick(0)

@@ -44,6 +44,26 @@ def seen(board, homography=None):
     return cv2.GaussianBlur(image, (0, 0), 0.8), homography @ to_raster
 
 
+@pytest.mark.parametrize("text", ["chessboard:9x6:24.7mm", "charuco:7x5:30.3mm:22mm:DICT_5X5_100"])
+def test_a_printed_board_changes_colour_exactly_at_its_corners(text):
+    board = read_board_option(text)
+    corners, paper = np.array(list(board.points().values()))[:, :2], Paper(board)
+    around = 1e-7 * np.array([(-1, -1), (1, -1), (-1, 1), (1, 1)])
+    low, right, left, high = (paper.black(corners + way) for way in around)
+    assert np.all((low == high) & (right == left) & (low != right))
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_a_charuco_board_is_drawn_as_opencv_draws_it(legacy):
+    board = read_board_option("charuco:6x8:30mm:21mm:DICT_5X5_100").model_copy(update={"legacy": legacy})
+    known = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
+    own = cv2.aruco.CharucoBoard((6, 8), 30.0, 21.0, known)
+    own.setLegacyPattern(legacy)
+    x, y = ((np.arange(n * 60) + 0.5) * 5e-4 for n in (6, 8))  # a pixel is 0.5 mm, and six are a cell of a marker
+    black = Paper(board).black(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(len(y), len(x))
+    np.testing.assert_array_equal(own.generateImage((6 * 60, 8 * 60), marginSize=0) == 0, black)
+
+
 def last(board, *images):
     return detect(board, [(f"image {k}", image) for k, image in enumerate(images)])
 

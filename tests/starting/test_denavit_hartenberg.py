@@ -224,6 +224,7 @@ def test_bad_tables(old: str, new: str, words: str, tmp_path: Path, run_calib) -
         (("arm.urdf", "--convention", "modified", "--out", "x.yaml"), "is for a table given with --dh"),
         (("--dh", "good.csv", "--convention", "modified", "--out", "x.yaml"), "says 'convention: standard', but"),
         (("--dh", "good.csv", "--out", "taken.yaml"), "taken.urdf: was not written by this program"),
+        (("--dh", "nowhere.csv", "--out", "x.yaml"), "nowhere.csv: no such file; give a CSV file"),
         (("--dh", "good.csv", "--target", "hand", "--out", "x.yaml"), "no link 'hand'"),
     ],
 )

@@ -160,6 +160,15 @@ def test_medrue_has_its_rail_carriage_five_bars_support_and_reflector():
     assert reflector.size[0] == pytest.approx(0.01905)  # 1.5 inch
 
 
+def test_the_rotation_onto_a_direction_is_a_rotation():
+    for direction in np.vstack([np.eye(3), -np.eye(3), np.random.default_rng(1).normal(size=(20, 3))]):
+        unit = direction / np.linalg.norm(direction)
+        R = rotation_onto_z(unit)
+        np.testing.assert_allclose(R @ [0, 0, 1], unit, atol=1e-14)
+        np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+
+
 def test_corners_enclose_a_turned_shape_and_a_mesh():
     T = np.eye(4)
     T[:3, :3] = rotation_onto_z(np.array([1.0, 0.0, 0.0]))

@@ -55,6 +55,16 @@ def test_outliers_that_were_left_out_stay_in_the_table_also_of_a_folder(tmp_path
     assert table.error("after")[row, 2] == pytest.approx(-1e-3, abs=2e-4)  # noise and uncertainty of the prediction
 
 
+def test_arrays_of_a_table_are_copies_that_nobody_can_write_to():
+    measured = np.zeros((4, 3))
+    table = small(measured=measured)
+    measured[0] = 1.0
+    assert np.all(table.measured == 0)
+    for array in (table.measured, table.joints, table.outlier, table.subset(np.arange(2)).after):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
 def test_residuals_over_an_unknown_sigma_are_unknown():
     assert np.isnan(small(sigma=np.array([0.0, np.nan, 1e-3, 1e-3])).normalised_residuals()[:2]).all()
     np.testing.assert_allclose(small().normalised_residuals(), 1.0)

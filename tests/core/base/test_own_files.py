@@ -3,12 +3,14 @@
 import json
 import os
 import shutil
+from pathlib import Path
 
 import pytest
 
 import calib
 from calib.core.base.errors import InputError
-from calib.core.base.files import write_file, write_files, write_folder
+from calib.core.base.files import read_text, write_file, write_files, write_folder
+from calib.core.base.own_files import inputs_noted, note_input
 from tests.project import EXAMPLES
 
 FOREIGN = "# my only measurements\nx,y\n1,2\n"
@@ -63,6 +65,25 @@ def test_what_this_program_wrote_is_an_input_as_well(here, run_calib):
     before = contents(here)
     refused(run_calib("simulate", "arm.yaml", "p.csv", "--seed", 1, "--out", "p.csv", cwd=here), here, before, "p.csv")
     refused(run_calib("select", "arm.yaml", "p.csv", "--count", 15, "--out", "p.csv", cwd=here), here, before, "p.csv")
+
+
+def test_a_file_that_a_command_writes_again_is_no_input_of_it(tmp_path, monkeypatch):
+    """As in `watch`, whose measurements are replaced: a new file gets the number of one that was read and is gone."""
+    replace = Path.replace
+
+    def replace_with_number_of_an_input(path, target):
+        note_input(path.stat())
+        return replace(path, target)
+
+    (tmp_path / "read.csv").write_text("1\n")
+    monkeypatch.setattr(Path, "replace", replace_with_number_of_an_input)
+    with inputs_noted():
+        read_text(tmp_path / "read.csv", "a file", InputError)
+        for text in ("1\n", "2\n", "3\n"):
+            write_file(tmp_path / "state.json", text)
+        with pytest.raises(InputError, match="is read by this command"):
+            write_file(tmp_path / "read.csv", "2\n")
+    assert (tmp_path / "state.json").read_text().startswith("3\n")
 
 
 COMMANDS = (

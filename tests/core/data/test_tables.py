@@ -107,6 +107,7 @@ def test_commas_that_may_mean_something_else_are_errors_with_line_and_column(tab
         ("nan", "'nan' is not finite; remove the row"),
         ("1e999", "'1e999' is not finite; remove the row"),
         ("fast", "'fast' is not a number"),
+        ("12 mm", "'12 mm' is not a number"),
         ("1_000", "'1_000' is not a number"),  # Python's float() would read 1000
         ('"1,5"', "'1,5' is not a number; write decimals with a point"),
     ],
@@ -182,6 +183,14 @@ def test_what_is_no_text_or_number_is_written_as_what_it_is():
     assert format_table([("x", np.array([1.5, np.nan, -np.inf])), ("n", ["a", "#b", 3])]) == "x,n\n1.5,a\n,#b\n,3\n"
     with pytest.raises(ValueError):
         format_table([("a", [1.0]), ("b", [1.0, 2.0])])
+
+
+def test_a_long_table_may_quote_some_of_its_cells_and_have_blanks_before_others(table_of):
+    cells = [f'"p,{k}", {k}.5' if k % 300 == 7 else f'p{k},  "{k}.5"' if k % 2 else f"p{k},{k}.5" for k in range(900)]
+    table = table_of("pose,x [mm]\n" + "\n".join(cells) + "\n")
+    assert table.text("pose") == [f"p,{k}" if k % 300 == 7 else f"p{k}" for k in range(900)]
+    np.testing.assert_allclose(1e3 * table.column("x", "length"), np.arange(900) + 0.5, rtol=1e-15)
+    assert [tuple(row) for row in table.rows[306:308]] == [("p306", "306.5"), ("p,307", "307.5")]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Patterns of residuals: each is found where it is, and said in its own words, and in good data there is none."""
 
 import dataclasses
+import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -330,3 +331,15 @@ def test_effects_at_visits_of_unequal_length_are_summed_as_if_their_columns_were
         z = effect.columns(number)
         np.testing.assert_allclose(squares[number], z.T @ z, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(moments[:, :, number], np.vstack([r, span.T]) @ z, rtol=1e-9, atol=1e-9)
+
+
+def test_sums_over_visits_take_no_memory_for_all_visits_at_once():
+    rng, n = np.random.default_rng(8), 40_000
+    base, span, r, factors = (rng.normal(size=shape) for shape in ((n, 8), (n, 40), n, (n // 2, 1, 1)))
+    linear = SimpleNamespace(span=Span(span, np.eye(40)), rows=SimpleNamespace(residuals=r))
+    effect = Effects(Kind.DRIFT, "xyz", base, np.repeat(np.arange(n // 2), 2), factors)
+    tracemalloc.start()
+    list(residual_patterns._moments(linear, [effect]))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * (n // 2) * 8 * (8 + 41) / 4  # bytes: a quarter of all sums; few are in memory

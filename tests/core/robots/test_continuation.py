@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.core.robots import acceleration, continuation
+from calib.core.robots import acceleration, continuation, kinematics
 from calib.core.robots.closure import residual
 from calib.programs.reaching.goals import Goals
 from calib.programs.reaching.inverse import solve
@@ -43,6 +43,16 @@ def test_motor_zeros_that_are_20_degrees_off_leave_the_five_bar_whole(five_bar):
     zeros = np.radians([20.0, -20.0])
     moved = robot.with_parameters({"left_motor.rz": zeros[0], "right_motor.rz": zeros[1]})
     assert np.max(np.abs(moved.assemble(q - zeros).passive - expected)) < 1e-11
+
+
+def test_loops_are_open_alike_one_by_one_and_together(medrue):
+    mechanism = medrue.mechanism
+    q = medrue.home + 0.1 * np.random.default_rng(7).normal(size=(5, 6))
+    swept = kinematics.sweep(mechanism, mechanism.all_joints(q, np.tile(medrue.mode.passive, (5, 1))), mechanism.loops)
+    for together, alone in ((kinematics.gaps, kinematics.value), (kinematics.gap_maps, kinematics.twist_map)):
+        each = np.concatenate([alone(swept, loop) for loop in mechanism.loops], axis=1)
+        assert np.abs(each).max() > 1e-3
+        assert np.allclose(together(swept), each, rtol=0, atol=1e-14)
 
 
 @pytest.mark.quick(0)

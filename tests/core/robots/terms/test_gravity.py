@@ -126,6 +126,27 @@ def test_a_direction_is_found_from_data_of_other_code(tmp_path):
     assert calib.fit(described(tmp_path, "{}", "sigma: 0.01 mm\n"), data).sigma > 2 * fit.sigma
 
 
+@pytest.mark.parametrize("way", ["setups", "visits"])
+def test_unseen_poses_are_predicted_with_the_direction_and_not_without(tmp_path, way):
+    """By other code: a soft arm in three mountings, and on a base that tilts by up to 30 deg."""
+    rng = np.random.default_rng(9)
+    q, given, names = rng.uniform(-1.2, 1.2, (60, 3)), np.array([8e-5, 6e-5, 9e-5]), ["floor", "wall", "ceiling"] * 20
+    mounted = {"floor": [0, 0, -1], "wall": [1, 0, 0], "ceiling": [0, 0, 1]}
+    setups = "setups: {floor: [], wall: [], ceiling: []}\n" if way == "setups" else ""
+    down = np.array([mounted[name] for name in names]) if setups else some_directions(60, 8)
+    head, more = (f"{HEADER},setup", names) if setups else (f"{HEADER},gravity_x,gravity_y,gravity_z", down)
+    points = np.array([centres(row)[4] for row in q + given * torques(q, down)])
+    write_table(tmp_path / "data.csv", head, q, points + 1e-5 * rng.standard_normal((60, 3)), more)
+    known = f"{ARM_YAML}{setups}gravity: {'{setups: {wall: [1, 0, 0], ceiling: [0, 0, 1]}}' if setups else '{}'}\n"
+    stiff, off = ARM_YAML.replace("  - {joint: all, term: compliance}\n", "") + setups, []
+    for yaml in (known, stiff):
+        robot, _ = arm(tmp_path, yaml)
+        data = calib.read_measurements(tmp_path / "data.csv", robot)
+        fitted, unseen = calib.fit(robot, data[:40], sigma="0.01 mm").robot, data[40:]
+        off.append(np.abs(fitted.positions(unseen.joints, unseen.conditions)[:, 0] - points[40:]).max())
+    assert off[0] < 3e-5 < off[1] / 10  # three times the noise
+
+
 def test_functions_in_other_languages_have_the_direction(tmp_path):
     robot = described(tmp_path, f"{{down: {DOWN.tolist()}, sigma: 10 deg}}")
     values = robot.values.copy()

@@ -11,7 +11,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError
 from calib.core.base.files import write_files
-from calib.core.base.own_files import GCODE_COMMENT, is_mark
+from calib.core.base.own_files import is_mark
 from calib.core.base.units import from_unit, millimetres, quantity, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import Output
@@ -160,7 +160,7 @@ def compensate_gcode(
     if len(robot.target_names) > 1:
         raise DataError(f"{robot.path}: has several targets, but G-code moves only one; describe that target alone")
     program = read_gcode(job.program, begin, dialect, harmless)
-    if is_mark(program.lines[-1]):
+    if any(map(is_mark, program.lines)):
         raise DataError(f"{job.program}: is compensated already; give the program from which it was made")
     job.output.check(job.out)
     tolerance = quantity(f"{tolerance_mm!r} mm", "length", "--tolerance-mm") - ROUNDING
@@ -187,7 +187,7 @@ def compensate_gcode(
         done, ways, lines = f"left as it is for {robot.name}: {no_correction_sentence(job.result)}", None, []
     comments = job.comments(f"{done}; errors are {compensated.frame}")
     text = program.rewritten(ways, [" ".join(line.split()) for line in comments])
-    job.output.write(job.out, text, GCODE_COMMENT)
+    job.output.write(job.out, text, program.comment)
     content = {"n_moves": len(program.moves), "n_pieces": n_pieces, "n_measured": compensated.n_measured}
     what = count_noun(len(program.moves), "straight move")
     cut = f"compensated as {count_noun(n_pieces, 'line')}"

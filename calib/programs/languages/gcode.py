@@ -20,17 +20,28 @@ Reading takes time in proportion to the length: a regular expression takes one w
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from calib.core.base.errors import DataError
 from calib.core.base.files import read_bytes, read_text
-from calib.programs.languages.gcode_dialects import CALLING, CHANGING, CONDITIONAL, REFUSED, TEXT, Dialect, find_dialect
+from calib.programs.languages.gcode_dialects import (
+    CALLING,
+    CHANGING,
+    CONDITIONAL,
+    MILLING,
+    REFUSED,
+    TEXT,
+    Dialect,
+    find_dialect,
+)
 from calib.programs.languages.gcode_lines import AXES, GcodeLine, read_line, require_order, require_words
 from calib.programs.languages.gcode_program import INCH, MILLIMETRE, GcodeMove, GcodeProgram
 
-SUFFIXES = (".gcode", ".nc", ".ngc", ".g")
+SUFFIXES = (".gcode", ".g", *MILLING)
+_POINT = re.compile(r"^[^(;]*[XYZ]\s*[-+]?\d+\.(?!\d)", re.IGNORECASE)
 _Modes = tuple[bool | None, bool | None, float | None]  # relative, e_relative, unit
 
 
@@ -54,12 +65,13 @@ def read_gcode(
     """
     lines = read_text(path, "a G-code program", DataError).rstrip("\n").split("\n")
     reader = _GcodeReader(str(path), start, find_dialect(path, lines, dialect), {word.upper() for word in harmless})
+    reader.has_points = reader.dialect.fanuc and any(map(_POINT.search, lines))
     for number, line in enumerate(lines):
         reader.read(number, line)
     if not reader.moves:
         raise DataError(f"{path}: has no straight moves (G0, G1 with X, Y or Z)")
     line_end = "\r\n" if b"\r\n" in read_bytes(path, "a G-code program", DataError) else "\n"
-    return GcodeProgram(str(path), tuple(lines), tuple(reader.moves), line_end)
+    return GcodeProgram(str(path), tuple(lines), tuple(reader.moves), line_end, reader.dialect.fanuc)
 
 
 @dataclass
@@ -67,6 +79,7 @@ class _GcodeReader:
     """Modes that hold from line to line; None where unknown.
 
     Attributes:
+        has_points: Whether whole numbers are written with a point, as for FANUC.
         home: Position of the machine after homing of all axes [m].
         harmless_words: Words that the user declares harmless.
         position: Position of the machine, axis by axis [m].
@@ -83,6 +96,7 @@ class _GcodeReader:
     dialect: Dialect
     harmless_words: Collection[str]
     moves: list[GcodeMove] = field(default_factory=list)
+    has_points: bool = False
     position: list[float | None] = field(default_factory=list)
     is_start_known: bool = False
     motion: str = ""
@@ -263,6 +277,12 @@ class _GcodeReader:
     def _require_modes(self, line: GcodeLine) -> tuple[float, bool]:
         """Return the unit of a move's numbers [m], and whether they are relative."""
         wrong = next((letter for letter in line.argument_texts if letter not in self.dialect.move_words), None)
+        short = [x for x in AXES if self.has_points and "." not in line.argument_texts.get(x, ".")]
+        short = [f"{axis}{line.argument_texts[axis]}" for axis in short if float(line.argument_texts[axis])]
+        if short:
+            raise line.refusal(
+                f"'{short[0]}' has no point, unlike other numbers; some controls read thousandths; add it"
+            )
         if not self.motion:
             raise line.refusal("moves without G0 or G1 before it; write which of them")
         if wrong is not None:

@@ -382,7 +382,7 @@ def test_what_a_move_depends_on_is_known_or_the_move_is_refused(tmp_path, text, 
         ("rrf", "G91 G1 X5 F900 M8", "G91 G1 X5 Y0 Z0 F900 M8"),  # run in this order
         ("rrf", "G1 X5 (not Y7)", "G1 X15 Y120 Z40 (not Y7)"),
         ("cnc", "G0 X5 G91", "G0 X5.0 Y0.0 Z0.0 G91"),  # run at once
-        ("cnc", "T1\nG30\nG0 X1 Y2 Z3", "G0 X11 Y22 Z33"),
+        ("cnc", "T1\nG30\nG0 X1 Y2 Z3", "G0 X11.0 Y22.0 Z33.0"),
         ("marlin", "M600\nM121\nG1 Y5", "G1 X110 Y25 Z40"),
         (None, "G28 W\nG1 Z5", "G1 X10 Y20 Z35"),
         (None, "G28\nG1 Z5", "G1 X10 Y20 Z35"),
@@ -426,7 +426,7 @@ def test_the_dialect_is_found_in_the_file(tmp_path):
     assert written(tmp_path, pushed + "\n; gcode_flavor = reprapfirmware")[-2] == "G1 X110 Y25 Z40"
     assert PERHAPS in written(tmp_path, pushed + "\n; gcode_flavor = klipper")
     assert PERHAPS in written(tmp_path, "M600\nG1 Y5\n; gcode_flavor = marlin")  # many run it with Klipper
-    assert written(tmp_path, "G80\nG0 X5", name="any.nc")[-1] == "G0 X15 Y120 Z40"
+    assert written(tmp_path, "G80\nG0 X5", name="any.nc")[-1] == "G0 X15.0 Y120.0 Z40.0"
     assert LOST in written(tmp_path, "G80\nG1 X5")  # levels the bed of some printers
     with pytest.raises(calib.InputError, match="--dialect grbl: must be one of cnc, klipper, marlin, rrf"):
         written(tmp_path, "", "grbl")

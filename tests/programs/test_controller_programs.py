@@ -98,6 +98,15 @@ def test_the_true_robot_goes_where_the_program_means_and_only_numbers_of_targets
         assert all(len(a) == len(b) for a, b in zip(before[0].split("\n"), after[0].split("\n"), strict=True))
 
 
+def test_letters_that_count_from_a_home_with_a_straight_wrist_mean_nothing(tmp_path):
+    """By the sign of joint 5, which is neither N nor F at zero."""
+    robot = calib.load(write_six_axis(tmp_path, YAML.replace("j5: 0.8", "j5: 0")))
+    (tmp_path / "part.ls").write_text(LS)
+    result = compensate_program(robot, read_program(tmp_path / "part.ls"), third_joint="j3")
+    assert result.values[1] is None
+    assert "'N U T, 0, 0, 0', whose sides count from home" in result.reasons[1]
+
+
 @pytest.mark.parametrize(
     ("language", "left"),
     [

@@ -134,7 +134,9 @@ class _Joints:
                 "has joint values; say with --third-joint whether the description's third joint is J3 or J2 + J3"
                 " (descriptions of ROS-Industrial: j2+j3)"
             )
-        self.zero = Sides(robot, robot.home if is_fanuc else np.zeros(n))
+        home = "home, which is between two of them; give the description a home with N, U and T"
+        zero = "all joints at zero, which is between two of them; correct the zeros of the URDF"
+        self.zero = Sides(robot, robot.home, home) if is_fanuc else Sides(robot, np.zeros(n), zero)
 
     def to_joints(self, values: Sequence[float]) -> FloatArray:
         return np.array(values) + values[1] * self._coupled

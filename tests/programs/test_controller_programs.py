@@ -184,6 +184,8 @@ def test_the_command_writes_the_program_and_tells_what_holds(cell, tmp_path, mon
     assert done.exit_code == 0, done.output
     assert "7 of 7 targets compensated (pose kept)" in done.stdout
     assert "tool tips are up to 64.8 mm from" in done.stdout
+    assert "At the targets the tool is expected to be off by" in done.stdout
+    assert "Between distant targets it is off by more" in done.stdout
     assert "Poses are from link 'l0' to link 'l6'" in done.stdout
     assert "not compensated" in done.stderr
     content = json.loads((tmp_path / "new.json").read_text())
@@ -192,6 +194,9 @@ def test_the_command_writes_the_program_and_tells_what_holds(cell, tmp_path, mon
     assert [item["line"] for item in content["not_compensated"]] == [len(src.split("\n")) - 3, len(src.split("\n")) - 2]
     assert (tmp_path / "new.src").read_text().count("\n") == src.count("\n")
     assert (tmp_path / "new.dat").read_text().startswith("&ACCESS RVP\nDEFDAT")
+    twice = [str(folder / "out"), str(tmp_path / "new.src"), "--out", str(tmp_path / "newer.src")]
+    assert "if it is compensated already, give the one it came from" in CliRunner().invoke(command, twice).stderr
+    assert "compensated already" not in done.stderr
     again = CliRunner().invoke(command, arguments)  # its own files may be replaced, those of others not
     assert again.exit_code == 0, again.output
     (tmp_path / "new.dat").write_text("mine")

@@ -173,6 +173,14 @@ def test_numbers_of_orientations_stay_the_same_turn_and_near():
             assert np.allclose(pose_of(numbers_of(moved, kind, values), kind).homogeneous, moved.homogeneous)
 
 
+@pytest.mark.parametrize(("start", "said"), [("", [True]), ("movej([0,0.1,0.5,0,0.8,0])\n", [])])
+def test_a_program_that_begins_on_an_unstated_branch_is_told(cell, tmp_path, start, said):
+    pose = "p[0.6,0,0.5,0,1.4,0]"
+    (tmp_path / "p.script").write_text(f"def m():\nset_tcp(p[0,0,0.1,0,0,0])\n{start}movel({pose})\nend\n")
+    remarks = compensate_program(cell[3], read_program(tmp_path / "p.script")).configurations
+    assert ["line 3 is the first target, and states no joints" in remark for remark in remarks] == said
+
+
 @pytest.mark.quick(0)
 def test_the_command_writes_the_program_and_tells_what_holds(cell, tmp_path, monkeypatch):
     folder = cell[0]

@@ -299,6 +299,23 @@ def test_e_that_firmwares_read_differently_is_refused_where_a_move_is_cut(tmp_pa
     assert "G1 X10 Y0 Z0 E1" in program.rewritten([ways[0], ways[1][1:]])
 
 
+@pytest.mark.parametrize(
+    ("dialect", "line", "pieces"),
+    [
+        ("cnc", "M30 G1 X10 F500", ["G1 X5.0 Y0.0 Z0.0 F500", "G1 X10.0 Y0.0 Z0.0 M30"]),
+        ("cnc", "G1 X10 M3 M0", ["G1 X5.0 Y0.0 Z0.0 M3", "G1 X10.0 Y0.0 Z0.0 M0"]),
+        ("rrf", "G1 X10 F500 M5", ["G1 X5 Y0 Z0 F500", "G1 X10 Y0 Z0 M5"]),
+        (None, "G1 X10 M5 M2", ["G1 X5 Y0 Z0 M5", "G1 X10 Y0 Z0 M2"]),
+    ],
+)
+def test_a_cut_move_stops_at_its_end(tmp_path, dialect, line, pieces):
+    """LinuxCNC's order of execution: spindle and coolant, motion, stop; RepRapFirmware runs commands as they stand."""
+    (tmp_path / "a.gcode").write_text(f"G1 X0 Y0 Z0\n{line}\n")
+    ways = [np.zeros((1, 3)), np.array([[5e-3, 0, 0], [1e-2, 0, 0]])]
+    program = read_gcode(tmp_path / "a.gcode", dialect=dialect)
+    assert program.rewritten(ways).splitlines()[1:] == pieces
+
+
 def test_other_robots_and_too_sharp_bends_are_refused(tmp_path):
     arm = calib.load(EXAMPLES / "arm.yaml")
     moves = StraightMoves(np.full((1, 3), np.nan), np.array([[0.5, 0, 0.5]]), ("line 1",))

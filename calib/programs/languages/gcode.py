@@ -33,6 +33,7 @@ from calib.programs.languages.gcode_dialects import (
     CONDITIONAL,
     MILLING,
     REFUSED,
+    STOPPING,
     TEXT,
     Dialect,
     find_dialect,
@@ -260,19 +261,31 @@ class _GcodeReader:
             value = float(given[axis]) * unit if axis in given else 0.0
             end.append(value if axis in given and not relative else (at or 0.0) + value)
         first = next((k for k, word in enumerate(line.words) if word[0] == "G" and float(word[1]) in (0, 1)), -1)
-        lead, tail = (
-            tuple(f"{word[0]}{word[1]}" for word in words if word[0] not in "XYZE")
-            for words in (line.words[: first + 1], line.words[first + 1 :])
-        )
+        lead, tail, last = self._words_in_order(line, first + 1)
         e = self._extrude(float(given["E"])) if "E" in given else None
         start = None if None in self.position else tuple(float(x) for x in self.position if x is not None)
         self.moves.append(
             GcodeMove(
-                number, start, tuple(end), self.is_start_known, unit, relative, line.counter + lead, tail,
+                number, start, tuple(end), self.is_start_known, unit, relative, line.counter + lead, tail, last,
                 line.comments, e, given.get("E", ""), bool(self.e_relative),
             )
         )  # fmt: skip
         self.position, self.is_start_known = list(end), True
+
+    def _words_in_order(self, line: GcodeLine, behind: int) -> tuple[tuple[str, ...], ...]:
+        """Return words other than X, Y, Z and E: up to the motion, behind it, and those that run when it has ended.
+
+        `behind` is the index of the word behind the motion. Milling machines stop last, whatever the order; firmwares
+        that run commands one after the other do so with all commands behind the motion.
+        """
+        parts: tuple[list[str], ...] = [], [], []
+        all_in_order = bool(self.dialect.name) and not self.dialect.at_once
+        for k, (letter, number) in enumerate(line.words):
+            stops = f"{letter}{float(number):g}" in STOPPING and (self.dialect.at_once or k >= behind)
+            runs_after = stops or (all_in_order and letter == "M" and k >= behind)
+            if letter not in "XYZE":
+                parts[2 if runs_after else k >= behind].append(f"{letter}{number}")
+        return tuple(map(tuple, parts))
 
     def _require_modes(self, line: GcodeLine) -> tuple[float, bool]:
         """Return the unit of a move's numbers [m], and whether they are relative."""

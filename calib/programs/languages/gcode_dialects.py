@@ -91,6 +91,8 @@ CALLING = parse_words("M32 M47 M97-99 M808 SDCARD_PRINT_FILE SDCARD_LOOP_BEGIN S
 """Words that run lines elsewhere or again."""
 CONDITIONAL = parse_words("IF ELIF ELSE WHILE BREAK CONTINUE ABORT")
 """Words that run lines under a condition."""
+STOPPING = parse_words("M0-2 M30 M60")
+"""Words that stop the machine, behind the motion of their line."""
 TEXT = "M117"
 """The word before a text that no firmware reads as code."""
 

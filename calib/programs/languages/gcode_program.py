@@ -5,7 +5,8 @@ reads. Parentheses do not nest, and a line of LinuxCNC has at most 255 character
 has a point.
 
 E is divided along a cut move, absolute (M82) or relative (M83). Other words (F, S ...) stay on the first piece, since
-they hold from there on. Comments and all other lines stay unchanged.
+they hold from there on; those that run when the move has ended (M0, M30 ...), on the last. Comments and all other lines
+stay unchanged.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ class GcodeMove:
         relative: Whether the numbers count from the machine's position.
         lead: Words up to G0 or G1; without a G, only the line number, if any.
         tail: Other words, without E.
+        last: Words that run when the move has ended.
         comments: Comments on the line, as written.
         e: E at the beginning and at the end; None without E, or where the move cannot be cut.
         e_text: E as written; empty if there is none.
@@ -59,6 +61,7 @@ class GcodeMove:
     relative: bool
     lead: tuple[str, ...]
     tail: tuple[str, ...]
+    last: tuple[str, ...]
     comments: str
     e: tuple[float, float] | None = None
     e_text: str = ""
@@ -135,7 +138,7 @@ class GcodeProgram:
             words = [*move.lead, *axes, *move.tail] if k == 0 else [*move.motion, *axes]
             if move.e_text:
                 words.append(f"E{self._share(move, k, len(way))}")
-            lines.append(" ".join(words))
+            lines.append(" ".join([*words, *move.last] if k == len(way) - 1 else words))
         lines[0] += f" {move.comments}" if move.comments else ""
         return lines, stands
 

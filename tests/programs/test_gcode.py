@@ -224,6 +224,14 @@ def test_comments_for_milling_machines_are_in_parentheses_behind_the_number_of_t
     assert is_own(own)
 
 
+@pytest.mark.parametrize(
+    ("name", "first", "said"), [("a.nc", "G90", True), ("a.nc", "G90 G21", False), ("a.gcode", "G90", False)]
+)
+def test_a_milling_machine_may_begin_in_inches_which_is_said(tmp_path, calibrated, name, first, said):
+    done = run(tmp_path, calibrated, f"{first}\nG1 X100 Y100 Z50\n", "--zero", "-100,-100,0", name=name)
+    assert (done.exit_code, "has no G20 or G21" in done.output) == (0, said)
+
+
 FIRST = "G1 X0 Y0 Z0\n"
 
 

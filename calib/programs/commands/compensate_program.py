@@ -169,6 +169,8 @@ def compensate_gcode(
     if any(map(is_mark, program.lines)):
         raise DataError(f"{job.program}: is compensated already; give the program from which it was made")
     job.output.check(job.out)
+    if not program.unit_stated:
+        job.output.note(f"note: {job.program}: has no G20 or G21; its numbers are taken for millimetres (G21)")
     tolerance = quantity(f"{tolerance_mm!r} mm", "length", "--tolerance-mm") - ROUNDING
     unknown = (np.nan, np.nan, np.nan)
     moves = StraightMoves(

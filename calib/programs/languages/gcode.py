@@ -72,7 +72,8 @@ def read_gcode(
     if not reader.moves:
         raise DataError(f"{path}: has no straight moves (G0, G1 with X, Y or Z)")
     line_end = "\r\n" if b"\r\n" in read_bytes(path, "a G-code program", DataError) else "\n"
-    return GcodeProgram(str(path), tuple(lines), tuple(reader.moves), line_end, reader.dialect.fanuc)
+    moves, fanuc = tuple(reader.moves), reader.dialect.fanuc
+    return GcodeProgram(str(path), tuple(lines), moves, line_end, fanuc, unit_stated=reader.unit_stated or not fanuc)
 
 
 @dataclass
@@ -81,6 +82,7 @@ class _GcodeReader:
 
     Attributes:
         has_points: Whether whole numbers are written with a point, as for FANUC.
+        unit_stated: Whether the program has said G20 or G21.
         home: Position of the machine after homing of all axes [m].
         harmless_words: Words that the user declares harmless.
         position: Position of the machine, axis by axis [m].
@@ -98,6 +100,7 @@ class _GcodeReader:
     harmless_words: Collection[str]
     moves: list[GcodeMove] = field(default_factory=list)
     has_points: bool = False
+    unit_stated: bool = False
     position: list[float | None] = field(default_factory=list)
     is_start_known: bool = False
     motion: str = ""
@@ -207,7 +210,7 @@ class _GcodeReader:
         elif code in ("G20", "G21"):
             unit = INCH if code == "G20" else MILLIMETRE
             self.e = self.e if unit == self.unit else None  # numbers of E are in this unit, too
-            self.unit = unit
+            self.unit, self.unit_stated = unit, True
         elif code in ("G90", "G91"):
             relative = code == "G91"
             if relative != self.e_relative:  # some machines change the meaning of E too

@@ -82,6 +82,7 @@ class GcodeProgram:
         lines: Its lines.
         moves: Its straight moves in order.
         line_end: What ends its lines.
+        unit_stated: Whether its unit is certain; a milling machine without G20 or G21 may begin in inches.
         fanuc: Whether FANUC may read it (`calib.programs.languages.gcode_dialects.Dialect`).
     """
 
@@ -90,6 +91,7 @@ class GcodeProgram:
     moves: tuple[GcodeMove, ...]
     line_end: str = "\n"
     fanuc: bool = False
+    unit_stated: bool = True
 
     @property
     def comment(self) -> str:

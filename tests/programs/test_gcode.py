@@ -214,6 +214,7 @@ def test_comments_for_milling_machines_are_in_parentheses_behind_the_number_of_t
     code = [re.sub(r"\([^();%!?~]*\)", "", line).strip() for line in written.splitlines()]
     assert all(re.fullmatch(r"%|([A-Z][-\d.]+ ?)*", block) for block in code), code
     assert written.startswith("%\nO1000 (PART)\n(compensated for gantry")
+    assert written.endswith(")\n%\n")  # nothing behind the end of the tape
     moves = [block for block in code if "X" in block]
     assert len(moves) >= 2
     assert all(re.search(rf"{axis}-?\d+\.\d", block) for block in moves for axis in "XYZ")  # else they are thousandths

@@ -60,7 +60,8 @@ def note_output(state: os.stat_result) -> None:
 def signed(content: bytes, comment: str = "") -> bytes:
     """Return a file with the line that says who wrote it: JSON, which has no comments, XML of any kind, or lines.
 
-    A comment begins with `comment`; if that is not given, as in XML or in tables. One in parentheses has no others.
+    A comment begins with `comment`; if that is not given, as in XML or in tables. One in parentheses has no others, and
+    stands before the mark that ends a tape (`%`).
     """
     text = _OLD_LINES.sub(b"", content)
     if not text.endswith(b"\n"):
@@ -71,7 +72,11 @@ def signed(content: bytes, comment: str = "") -> bytes:
     if text.lstrip().startswith(b"<") and not comment:
         return text + b"<!-- " + _mark(_digest(text)) + b" -->\n"
     if comment == "(":
-        return text + b"(" + _mark(_digest(text)).replace(b" (", b", ") + b"\n"
+        lines = text.splitlines(keepends=True)
+        lines.insert(
+            len(lines) - (lines[-1].strip() == b"%"), b"(" + _mark(_digest(text)).replace(b" (", b", ") + b"\n"
+        )
+        return b"".join(lines)
     return text + f"{comment or '#'} ".encode() + _mark(_digest(text)) + b"\n"
 
 

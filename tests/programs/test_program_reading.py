@@ -368,6 +368,14 @@ def test_a_form_that_is_written_out_selects_tool_and_base(tmp_path, form, left, 
     assert [target.flange.translation[0] for target in program.targets[1:]] == pytest.approx([x] * (not left))
 
 
+@pytest.mark.parametrize(("written", "decimals"), [("600", 3), ("600.0", 3), ("600.000", 3), ("600.00000", 5)])
+def test_whole_millimetres_of_fanuc_are_not_kept_whole(tmp_path, written, decimals):
+    """A controller writes three decimals; a correction rounded to whole millimetres is none."""
+    text = LS.replace("#\n", "").replace("%\n", "").replace("600.000", written)
+    cell = read(tmp_path, ".ls", text).targets[0].cells[0]
+    assert len(cell.format(0.6001234567).partition(".")[2]) == decimals
+
+
 def test_inline_forms_of_controllers_are_read(tmp_path):
     """As KUKA's controllers (KSS 8.6) write them. By hand: a base at x = 20 mm, a tool 10 mm ahead in x."""
     (tmp_path / "frames.csv").write_text(

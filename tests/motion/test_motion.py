@@ -250,6 +250,12 @@ def test_programs_ask_before_anything_moves_name_the_poses_and_are_read_back(rou
     np.testing.assert_allclose([target.values for target in program.targets], route.corners()[1:], atol=1e-6)
 
 
+def test_rapid_gets_speeds_as_numbers_since_it_has_no_name_for_most(route):
+    """ABB's manual of RAPID: v200 and v300 are predefined, [v_tcp, 500, 5000, 1000]; v250 is not."""
+    text = write_program(route, "rapid", Motion("plan", speed=0.25))
+    assert text.count("]], [250, 500, 5000, 1000], fine, tool0;") == text.count("MoveAbsJ")
+
+
 def test_a_third_joint_that_is_counted_from_the_second_link_is_written_as_fanuc_counts_it(route):
     assert "BAS(#VEL_PTP, 1)" in write_program(route, "krl", Motion("plan", speed=0.001))  # 0 % is no speed
     text = write_program(route, "fanuc", Motion("plan", third_joint="j2+j3"))

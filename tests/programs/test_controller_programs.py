@@ -98,6 +98,15 @@ def test_the_true_robot_goes_where_the_program_means_and_only_numbers_of_targets
         assert all(len(a) == len(b) for a, b in zip(before[0].split("\n"), after[0].split("\n"), strict=True))
 
 
+def test_letters_that_count_from_a_home_with_a_straight_wrist_mean_nothing(tmp_path):
+    """By the sign of joint 5, which is neither N nor F at zero."""
+    robot = calib.load(write_six_axis(tmp_path, YAML.replace("j5: 0.8", "j5: 0")))
+    (tmp_path / "part.ls").write_text(LS)
+    result = compensate_program(robot, read_program(tmp_path / "part.ls"), third_joint="j3")
+    assert result.values[1] is None
+    assert "'N U T, 0, 0, 0', whose sides count from home" in result.reasons[1]
+
+
 @pytest.mark.parametrize(
     ("language", "left"),
     [
@@ -164,6 +173,14 @@ def test_numbers_of_orientations_stay_the_same_turn_and_near():
             assert np.allclose(pose_of(numbers_of(moved, kind, values), kind).homogeneous, moved.homogeneous)
 
 
+@pytest.mark.parametrize(("start", "said"), [("", [True]), ("movej([0,0.1,0.5,0,0.8,0])\n", [])])
+def test_a_program_that_begins_on_an_unstated_branch_is_told(cell, tmp_path, start, said):
+    pose = "p[0.6,0,0.5,0,1.4,0]"
+    (tmp_path / "p.script").write_text(f"def m():\nset_tcp(p[0,0,0.1,0,0,0])\n{start}movel({pose})\nend\n")
+    remarks = compensate_program(cell[3], read_program(tmp_path / "p.script")).configurations
+    assert ["line 3 is the first target, and states no joints" in remark for remark in remarks] == said
+
+
 @pytest.mark.quick(0)
 def test_the_command_writes_the_program_and_tells_what_holds(cell, tmp_path, monkeypatch):
     folder = cell[0]
@@ -175,6 +192,8 @@ def test_the_command_writes_the_program_and_tells_what_holds(cell, tmp_path, mon
     assert done.exit_code == 0, done.output
     assert "7 of 7 targets compensated (pose kept)" in done.stdout
     assert "tool tips are up to 64.8 mm from" in done.stdout
+    assert "At the targets the tool is expected to be off by" in done.stdout
+    assert "Between distant targets it is off by more" in done.stdout
     assert "Poses are from link 'l0' to link 'l6'" in done.stdout
     assert "not compensated" in done.stderr
     content = json.loads((tmp_path / "new.json").read_text())
@@ -183,6 +202,9 @@ def test_the_command_writes_the_program_and_tells_what_holds(cell, tmp_path, mon
     assert [item["line"] for item in content["not_compensated"]] == [len(src.split("\n")) - 3, len(src.split("\n")) - 2]
     assert (tmp_path / "new.src").read_text().count("\n") == src.count("\n")
     assert (tmp_path / "new.dat").read_text().startswith("&ACCESS RVP\nDEFDAT")
+    twice = [str(folder / "out"), str(tmp_path / "new.src"), "--out", str(tmp_path / "newer.src")]
+    assert "if it is compensated already, give the one it came from" in CliRunner().invoke(command, twice).stderr
+    assert "compensated already" not in done.stderr
     again = CliRunner().invoke(command, arguments)  # its own files may be replaced, those of others not
     assert again.exit_code == 0, again.output
     (tmp_path / "new.dat").write_text("mine")

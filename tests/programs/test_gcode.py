@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 import calib
+from calib.core.base.own_files import is_own
 from calib.programs.commands.compensate import command
 from calib.programs.languages.gcode import read_gcode
 from calib.programs.languages.straight_moves import StraightMoves, compensate_moves
@@ -200,6 +201,38 @@ def test_the_command_writes_a_program_and_its_figures(tmp_path, calibrated):
     assert figures["between_mm"]["max"] < 0.001 < figures["expected_mm"]["max"] < figures["before_mm"]["max"]
 
 
+@pytest.mark.parametrize("name", ["part.nc", "part.ngc", "part.tap", "part.cnc"])
+def test_comments_for_milling_machines_are_in_parentheses_behind_the_number_of_the_program(tmp_path, calibrated, name):
+    """A semicolon ends a block on FANUC and Haas, which count thousandths in numbers without a point.
+
+    Parentheses do not nest, and LinuxCNC reads 255 characters a line.
+    """
+    text = "%\nO1000 (PART)\nG21 G90\nG1 X100 Y100 Z50 F600\nX-100 Y-100\nM30\n%\n"
+    done = run(tmp_path, calibrated, text, "--zero", "-100,-100,0", name=name)
+    assert done.exit_code == 0, done.output
+    written = (tmp_path / "out.gcode").read_text()
+    code = [re.sub(r"\([^();%!?~]*\)", "", line).strip() for line in written.splitlines()]
+    assert all(re.fullmatch(r"%|([A-Z][-\d.]+ ?)*", block) for block in code), code
+    assert written.startswith("%\nO1000 (PART)\n(compensated for gantry")
+    assert written.endswith(")\n%\n")  # nothing behind the end of the tape
+    moves = [block for block in code if "X" in block]
+    assert len(moves) >= 2
+    assert all(re.search(rf"{axis}-?\d+\.\d", block) for block in moves for axis in "XYZ")  # else they are thousandths
+    assert max(map(len, written.splitlines())) <= 255
+    own = (tmp_path / "out.gcode").rename(tmp_path / f"again_{name}")
+    again = run(tmp_path, calibrated, own.read_text() + "(joined)\n", "--zero", "-100,-100,0", name=name)
+    assert "is compensated already" in again.output
+    assert is_own(own)
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "said"), [("a.nc", "G90", True), ("a.nc", "G90 G21", False), ("a.gcode", "G90", False)]
+)
+def test_a_milling_machine_may_begin_in_inches_which_is_said(tmp_path, calibrated, name, first, said):
+    done = run(tmp_path, calibrated, f"{first}\nG1 X100 Y100 Z50\n", "--zero", "-100,-100,0", name=name)
+    assert (done.exit_code, "has no G20 or G21" in done.output) == (0, said)
+
+
 FIRST = "G1 X0 Y0 Z0\n"
 
 
@@ -232,6 +265,8 @@ FIRST = "G1 X0 Y0 Z0\n"
         ("X1 Y1 Z1\n", (), "line 1: moves without G0 or G1"),
         (FIRST + "G1 X1" + 300 * "0" + "\n", (), "line 2: 'X10000000000000000000' is beyond what any machine reads"),
         (FIRST + "G1 X1 \x07\n", (), "line 2: is not text"),
+        (FIRST + "G1 X1.\nY2 Z0\n", ("--dialect", "cnc"), "line 3: 'Y2' has no point, unlike other numbers"),
+        (FIRST + "G1 X1; G1 Y2;\n", ("--dialect", "cnc"), "line 2: '; G1 Y2;' is code for some controls"),
         ("G1 X2000 Y0 Z0\n", (), "line 1 by the nominal robot misses by 1000"),
         (FIRST, ("--tolerance-mm", "0"), "--tolerance-mm 0: must lie between"),
         (FIRST, ("--tolerance-mm", "nan"), "--tolerance-mm nan: must lie between"),
@@ -271,6 +306,23 @@ def test_e_that_firmwares_read_differently_is_refused_where_a_move_is_cut(tmp_pa
     with pytest.raises(calib.DataError, match="line 4: is cut into 2 pieces, and the meaning of its E is unknown"):
         program.rewritten(ways)
     assert "G1 X10 Y0 Z0 E1" in program.rewritten([ways[0], ways[1][1:]])
+
+
+@pytest.mark.parametrize(
+    ("dialect", "line", "pieces"),
+    [
+        ("cnc", "M30 G1 X10 F500", ["G1 X5.0 Y0.0 Z0.0 F500", "G1 X10.0 Y0.0 Z0.0 M30"]),
+        ("cnc", "G1 X10 M3 M0", ["G1 X5.0 Y0.0 Z0.0 M3", "G1 X10.0 Y0.0 Z0.0 M0"]),
+        ("rrf", "G1 X10 F500 M5", ["G1 X5 Y0 Z0 F500", "G1 X10 Y0 Z0 M5"]),
+        (None, "G1 X10 M5 M2", ["G1 X5 Y0 Z0 M5", "G1 X10 Y0 Z0 M2"]),
+    ],
+)
+def test_a_cut_move_stops_at_its_end(tmp_path, dialect, line, pieces):
+    """LinuxCNC's order of execution: spindle and coolant, motion, stop; RepRapFirmware runs commands as they stand."""
+    (tmp_path / "a.gcode").write_text(f"G1 X0 Y0 Z0\n{line}\n")
+    ways = [np.zeros((1, 3)), np.array([[5e-3, 0, 0], [1e-2, 0, 0]])]
+    program = read_gcode(tmp_path / "a.gcode", dialect=dialect)
+    assert program.rewritten(ways).splitlines()[1:] == pieces
 
 
 def test_other_robots_and_too_sharp_bends_are_refused(tmp_path):
@@ -355,8 +407,8 @@ def test_what_a_move_depends_on_is_known_or_the_move_is_refused(tmp_path, text, 
         ("rrf", "M120\nG91\nG20\nM121\nG1 Y5", "G1 X110 Y25 Z40"),
         ("rrf", "G91 G1 X5 F900 M8", "G91 G1 X5 Y0 Z0 F900 M8"),  # run in this order
         ("rrf", "G1 X5 (not Y7)", "G1 X15 Y120 Z40 (not Y7)"),
-        ("cnc", "G0 X5 G91", "G0 X5 Y0 Z0 G91"),  # run at once
-        ("cnc", "T1\nG30\nG0 X1 Y2 Z3", "G0 X11 Y22 Z33"),
+        ("cnc", "G0 X5 G91", "G0 X5.0 Y0.0 Z0.0 G91"),  # run at once
+        ("cnc", "T1\nG30\nG0 X1 Y2 Z3", "G0 X11.0 Y22.0 Z33.0"),
         ("marlin", "M600\nM121\nG1 Y5", "G1 X110 Y25 Z40"),
         (None, "G28 W\nG1 Z5", "G1 X10 Y20 Z35"),
         (None, "G28\nG1 Z5", "G1 X10 Y20 Z35"),
@@ -400,7 +452,7 @@ def test_the_dialect_is_found_in_the_file(tmp_path):
     assert written(tmp_path, pushed + "\n; gcode_flavor = reprapfirmware")[-2] == "G1 X110 Y25 Z40"
     assert PERHAPS in written(tmp_path, pushed + "\n; gcode_flavor = klipper")
     assert PERHAPS in written(tmp_path, "M600\nG1 Y5\n; gcode_flavor = marlin")  # many run it with Klipper
-    assert written(tmp_path, "G80\nG0 X5", name="any.nc")[-1] == "G0 X15 Y120 Z40"
+    assert written(tmp_path, "G80\nG0 X5", name="any.nc")[-1] == "G0 X15.0 Y120.0 Z40.0"
     assert LOST in written(tmp_path, "G80\nG1 X5")  # levels the bed of some printers
     with pytest.raises(calib.InputError, match="--dialect grbl: must be one of cnc, klipper, marlin, rrf"):
         written(tmp_path, "", "grbl")

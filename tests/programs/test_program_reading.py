@@ -294,6 +294,7 @@ def test_what_is_set_or_decided_anywhere_is_left_alone_and_named(tmp_path, progr
         (".ls", LS, "   3:L P[1] 100mm/sec FINE DB 5mm,DO[1]=ON ;"),
         (".ls", LS, "   3:  DO[1]=ON ;\n   4:  !UFRAME_NUM=2 ;\n   5:  MESSAGE[don't; CALL X] ;"),
         (".ls", LS, "   3:  Arc Start[1,2] ;\n   4:  Weave Sine[5] ;"),
+        (".ls", LS, "   3:  --eg:don't use 5\" \\ UTOOL_NUM=3 ;"),
         (".ls", LS, "   3:  UFRAME_NUM=1 ;\n   4:  UTOOL_NUM=1 ;\n   5:  WAIT   1.00(sec) ;"),
     ],
 )
@@ -301,6 +302,22 @@ def test_what_changes_nothing_leaves_both_targets_compensated(tmp_path, suffix, 
     program = read(tmp_path, suffix, text.replace("#", edit).replace("%\n", ""))
     assert len(program.targets) == 2, [str(left) for left in program.left_out]
     assert program.left_out == ()
+
+
+@pytest.mark.parametrize(
+    ("whole", "named"),
+    [
+        ("[[0,0,100],[1,0,0,0]]", "f"),  # the frame of the tool
+        ("[TRUE,[[0,0,100],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]]", "tool0"),
+        (f"[[600,0,400],[1,0,0,0],[0,0,0,0],{AXES}]", "p1"),
+        ("[600,0,400]", "q"),
+    ],
+)
+def test_rapid_data_that_name_others_leave_one_target_and_not_the_program(tmp_path, whole, named):
+    text = RAPID.replace("{tool}", "t").replace("#\n", "").replace("%\n", "").replace(whole, named)
+    program = read(tmp_path, ".mod", text)
+    assert [target.name for target in program.targets] == ["p1"]
+    assert f"'{named}' is not written out as numbers" in program.left_out[0].why
 
 
 @pytest.mark.parametrize(
@@ -349,6 +366,14 @@ def test_a_form_that_is_written_out_selects_tool_and_base(tmp_path, form, left, 
     program = read_program(tmp_path / "part.src", [tmp_path / "frames.csv"])
     assert [str(place).partition("P2: ")[2].startswith(left) for place in program.left_out] == [True] * bool(left), left
     assert [target.flange.translation[0] for target in program.targets[1:]] == pytest.approx([x] * (not left))
+
+
+@pytest.mark.parametrize(("written", "decimals"), [("600", 3), ("600.0", 3), ("600.000", 3), ("600.00000", 5)])
+def test_whole_millimetres_of_fanuc_are_not_kept_whole(tmp_path, written, decimals):
+    """A controller writes three decimals; a correction rounded to whole millimetres is none."""
+    text = LS.replace("#\n", "").replace("%\n", "").replace("600.000", written)
+    cell = read(tmp_path, ".ls", text).targets[0].cells[0]
+    assert len(cell.format(0.6001234567).partition(".")[2]) == decimals
 
 
 def test_inline_forms_of_controllers_are_read(tmp_path):

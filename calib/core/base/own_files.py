@@ -25,9 +25,8 @@ from calib.core.base.version import PROGRAM
 
 MANIFEST = ".written-by-calib.json"
 """File of a folder that says what this program wrote into it."""
-GCODE_COMMENT = ";"
-_MARK = re.compile(rb"written by \S+ \S+ \(sha256 of the rest begins ([0-9a-f]{16})\)")
-_OLD_LINES = re.compile(rb"^[#; <!-]*" + _MARK.pattern + rb"[ ->]*\n", re.MULTILINE)
+_MARK = re.compile(rb"written by \S+ [^\s,]+(?: \(|, )sha256 of the rest begins ([0-9a-f]{16})\)")
+_OLD_LINES = re.compile(rb"^[#; <!(-]*" + _MARK.pattern + rb"[ ->]*\n", re.MULTILINE)
 _END_OF_JSON = b"\n}\n"
 _LOOKS = 10  # times that a folder is read while another program replaces it
 _inputs: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=None)
@@ -61,7 +60,8 @@ def note_output(state: os.stat_result) -> None:
 def signed(content: bytes, comment: str = "") -> bytes:
     """Return a file with the line that says who wrote it: JSON, which has no comments, XML of any kind, or lines.
 
-    A comment begins with `comment`; if that is not given, as in XML or in tables.
+    A comment begins with `comment`; if that is not given, as in XML or in tables. One in parentheses has no others, and
+    stands before the mark that ends a tape (`%`).
     """
     text = _OLD_LINES.sub(b"", content)
     if not text.endswith(b"\n"):
@@ -71,6 +71,12 @@ def signed(content: bytes, comment: str = "") -> bytes:
         return text + b' "written_by": "' + _mark(_digest(text + end)) + b'"\n' + end
     if text.lstrip().startswith(b"<") and not comment:
         return text + b"<!-- " + _mark(_digest(text)) + b" -->\n"
+    if comment == "(":
+        lines = text.splitlines(keepends=True)
+        lines.insert(
+            len(lines) - (lines[-1].strip() == b"%"), b"(" + _mark(_digest(text)).replace(b" (", b", ") + b"\n"
+        )
+        return b"".join(lines)
     return text + f"{comment or '#'} ".encode() + _mark(_digest(text)) + b"\n"
 
 

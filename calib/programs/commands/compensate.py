@@ -71,7 +71,8 @@ from calib.programs.reaching.program_task import KEEP
 @click.option(
     "--dialect",
     type=click.Choice(tuple(DIALECTS)),
-    help="G-code: the firmware of the machine; cnc: milling machines.  [default: what the file says; .nc, .ngc: cnc]",
+    help="G-code: the firmware of the machine; cnc: milling machines."
+    "  [default: what the file says; .nc, .ngc, .tap, .cnc: cnc]",
 )
 @click.option(
     "--harmless",
@@ -112,9 +113,10 @@ def command(robot: str, program: str, result: str | None, out: str, output: Outp
     verdict of the calibration finds nothing to correct, the program stays as it is. If inclinometers measure joints,
     each row also has the columns of these joints or of their sensors.
 
-    G-code (.gcode, .nc, .ngc, .g) is for machines with three motors, Cartesian or delta, whose controller uses the
-    nominal model. Straight moves are cut into pieces so short that the tool stays within --tolerance-mm of the line.
-    Other moves are refused. So are moves after a command that may have changed their meaning. All other lines stay.
+    G-code (.gcode, .g, .nc, .ngc, .tap, .cnc) is for machines with three motors, Cartesian or delta, whose controller
+    uses the nominal model. Straight moves are cut into pieces so short that the tool stays within --tolerance-mm of the
+    line. Other moves are refused. So are moves after a command that may have changed their meaning. All other lines
+    stay.
 
     In a controller's program, only the numbers of the targets change. Targets that it computes at run time are listed
     with their lines. Poses are those of link `tool0` in link `base` if the URDF has them, else those of the target's

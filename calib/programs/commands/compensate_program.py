@@ -11,7 +11,7 @@ import numpy as np
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, InputError, UnreachablePoseError
 from calib.core.base.files import write_files
-from calib.core.base.own_files import GCODE_COMMENT, is_mark
+from calib.core.base.own_files import is_mark, is_own
 from calib.core.base.units import from_unit, millimetres, quantity, quantity_text
 from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import Output
@@ -48,6 +48,10 @@ def compensate_controller(
             f"{out}: the program has the language of {job.program}; give the output the same ending, {suffix}"
         )
     program = read_program(job.program, frames, harmless)
+    if is_own(Path(job.program)):
+        output.note(
+            f"note: {job.program}: this program wrote it; if it is compensated already, give the one it came from"
+        )
     places = [out, *(out.with_suffix(Path(source.path).suffix) for source in program.sources[1:])]
     output.check(*map(str, places))
     count = count_noun(len(program.targets), "target")
@@ -76,7 +80,8 @@ def compensate_controller(
         "left as they are",
     )
     job = replace(job, out=" and ".join(map(str, places)))
-    job.report(compensation, figures, _content(compensated), what, _remarks(compensated, figures))
+    subjects = "At the targets the tool", "Its orientation"
+    job.report(compensation, figures, _content(compensated), what, _remarks(compensated, figures), subjects)
 
 
 def _note(output: Output, mark: str, lines: Sequence[str]) -> None:
@@ -121,6 +126,7 @@ def _remarks(compensated: CompensatedProgram, figures: Figures) -> list[str]:
         lines.append(
             f"Rounding to the file's decimals moves the tool by {figures['rounding_mm']['max']:.4f} mm at worst"
         )
+        lines.append("Between distant targets it is off by more, since moves are not cut; add targets on long moves")
     if compensated.lever > 1e-6 and "expected_angle_mrad" in figures:
         turned = from_unit(figures["expected_angle_mrad"]["rms"], "mrad")
         most = figures["expected_mm"]["rms"] + millimetres(compensated.lever) * turned
@@ -160,9 +166,11 @@ def compensate_gcode(
     if len(robot.target_names) > 1:
         raise DataError(f"{robot.path}: has several targets, but G-code moves only one; describe that target alone")
     program = read_gcode(job.program, begin, dialect, harmless)
-    if is_mark(program.lines[-1]):
+    if any(map(is_mark, program.lines)):
         raise DataError(f"{job.program}: is compensated already; give the program from which it was made")
     job.output.check(job.out)
+    if not program.unit_stated:
+        job.output.note(f"note: {job.program}: has no G20 or G21; its numbers are taken for millimetres (G21)")
     tolerance = quantity(f"{tolerance_mm!r} mm", "length", "--tolerance-mm") - ROUNDING
     unknown = (np.nan, np.nan, np.nan)
     moves = StraightMoves(
@@ -187,7 +195,7 @@ def compensate_gcode(
         done, ways, lines = f"left as it is for {robot.name}: {no_correction_sentence(job.result)}", None, []
     comments = job.comments(f"{done}; errors are {compensated.frame}")
     text = program.rewritten(ways, [" ".join(line.split()) for line in comments])
-    job.output.write(job.out, text, GCODE_COMMENT)
+    job.output.write(job.out, text, program.comment)
     content = {"n_moves": len(program.moves), "n_pieces": n_pieces, "n_measured": compensated.n_measured}
     what = count_noun(len(program.moves), "straight move")
     cut = f"compensated as {count_noun(n_pieces, 'line')}"

@@ -43,7 +43,8 @@ class CompensatedProgram:
         rows: Numbers of these targets, (n,).
         values: New numbers of each target [SI]; None where the target stays unchanged.
         reasons: Why a target stays unchanged; empty where it does not.
-        configurations: A remark on every target whose joints no longer match its stated configuration.
+        configurations: A remark on every target whose joints no longer match its stated configuration, and on a
+            program that states no joints for its first target.
         rounding: Distances by which the decimals of the file move the target, (n,) [m].
         lever: Largest distance of the program's tools from the description's target [m].
         base, flange: Links between which the controller states poses.
@@ -99,7 +100,7 @@ def compensate_program(
     labels, names = zip(*((target.label, target.name or str(target.line)) for target in targets), strict=True)
     compensation = compensate(known, Poses(q[rows], labels, names, program.sources[0].path, ()))
     values: list[tuple[float, ...] | None] = [None] * len(program.targets)
-    rounding, remarks = np.zeros(len(rows)), []
+    rounding, remarks = np.zeros(len(rows)), _remark_on_start(program)
     if not compensation.nothing_to_correct:
         for n, k in enumerate(map(int, rows)):
             if compensation.reasons[n]:
@@ -134,7 +135,9 @@ class _Joints:
                 "has joint values; say with --third-joint whether the description's third joint is J3 or J2 + J3"
                 " (descriptions of ROS-Industrial: j2+j3)"
             )
-        self.zero = Sides(robot, robot.home if is_fanuc else np.zeros(n))
+        home = "home, which is between two of them; give the description a home with N, U and T"
+        zero = "all joints at zero, which is between two of them; correct the zeros of the URDF"
+        self.zero = Sides(robot, robot.home, home) if is_fanuc else Sides(robot, np.zeros(n), zero)
 
     def to_joints(self, values: Sequence[float]) -> FloatArray:
         return np.array(values) + values[1] * self._coupled
@@ -171,6 +174,17 @@ def _rounding_shift(
         cells = tuple(replace(old, value=value) for old, value in zip(target.cells, held, strict=True))
         rounded = replace(target, cells=cells).flange
     return float(np.linalg.norm(cell.target_position(exact) - cell.target_position(rounded)))
+
+
+def _remark_on_start(program: RobotProgram) -> list[str]:
+    """A remark if nothing says on which branch of the inverse kinematics the program begins."""
+    first = program.targets[0]
+    if first.rotation is None or first.near or first.configuration is not None:
+        return []
+    near = (
+        "those nearest to the description's home are taken; if the robot comes with others, begin with a move to joints"
+    )
+    return [f"{first.label} is the first target, and states no joints: {near}"]
 
 
 def _remark_on_configuration(

@@ -24,7 +24,7 @@ from calib.programs.languages.robot_program import ITSELF, Configuration, Frame,
 from calib.programs.languages.tokens import DEGREE, MILLIMETRE, Number, ProgramSource, ProgramWords, Span, word_list
 
 _WORDS = tokens.word_pattern(
-    r"^[^\S\n]*\d*:[^\S\n]*(?:!|//)[^\n]*|^[^\S\n]*\d*:|(?i:MESSAGE)\[[^\]\n]*\]",
+    r"^[^\S\n]*\d*:[^\S\n]*(?:!|//|--)[^\n]*|^[^\S\n]*\d*:|(?i:MESSAGE)\[[^\]\n]*\]",
     r"[$#]?[^\W\d]\w*",
     r"<>|<=|>=|[-+*/%()\[\]{}=<>,.;:!&@#?^|~$]",
     r"(?<=\[)[^\S\n]*\d+[^\S\n]*:[^\]\n]*|'[^'\n]*'|\"[^\"\n]*\"",

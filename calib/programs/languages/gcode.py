@@ -20,17 +20,29 @@ Reading takes time in proportion to the length: a regular expression takes one w
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from calib.core.base.errors import DataError
 from calib.core.base.files import read_bytes, read_text
-from calib.programs.languages.gcode_dialects import CALLING, CHANGING, CONDITIONAL, REFUSED, TEXT, Dialect, find_dialect
+from calib.programs.languages.gcode_dialects import (
+    CALLING,
+    CHANGING,
+    CONDITIONAL,
+    MILLING,
+    REFUSED,
+    STOPPING,
+    TEXT,
+    Dialect,
+    find_dialect,
+)
 from calib.programs.languages.gcode_lines import AXES, GcodeLine, read_line, require_order, require_words
 from calib.programs.languages.gcode_program import INCH, MILLIMETRE, GcodeMove, GcodeProgram
 
-SUFFIXES = (".gcode", ".nc", ".ngc", ".g")
+SUFFIXES = (".gcode", ".g", *MILLING)
+_POINT = re.compile(r"^[^(;]*[XYZ]\s*[-+]?\d+\.(?!\d)", re.IGNORECASE)
 _Modes = tuple[bool | None, bool | None, float | None]  # relative, e_relative, unit
 
 
@@ -54,12 +66,14 @@ def read_gcode(
     """
     lines = read_text(path, "a G-code program", DataError).rstrip("\n").split("\n")
     reader = _GcodeReader(str(path), start, find_dialect(path, lines, dialect), {word.upper() for word in harmless})
+    reader.has_points = reader.dialect.fanuc and any(map(_POINT.search, lines))
     for number, line in enumerate(lines):
         reader.read(number, line)
     if not reader.moves:
         raise DataError(f"{path}: has no straight moves (G0, G1 with X, Y or Z)")
     line_end = "\r\n" if b"\r\n" in read_bytes(path, "a G-code program", DataError) else "\n"
-    return GcodeProgram(str(path), tuple(lines), tuple(reader.moves), line_end)
+    moves, fanuc = tuple(reader.moves), reader.dialect.fanuc
+    return GcodeProgram(str(path), tuple(lines), moves, line_end, fanuc, unit_stated=reader.unit_stated or not fanuc)
 
 
 @dataclass
@@ -67,6 +81,8 @@ class _GcodeReader:
     """Modes that hold from line to line; None where unknown.
 
     Attributes:
+        has_points: Whether whole numbers are written with a point, as for FANUC.
+        unit_stated: Whether the program has said G20 or G21.
         home: Position of the machine after homing of all axes [m].
         harmless_words: Words that the user declares harmless.
         position: Position of the machine, axis by axis [m].
@@ -83,6 +99,8 @@ class _GcodeReader:
     dialect: Dialect
     harmless_words: Collection[str]
     moves: list[GcodeMove] = field(default_factory=list)
+    has_points: bool = False
+    unit_stated: bool = False
     position: list[float | None] = field(default_factory=list)
     is_start_known: bool = False
     motion: str = ""
@@ -192,7 +210,7 @@ class _GcodeReader:
         elif code in ("G20", "G21"):
             unit = INCH if code == "G20" else MILLIMETRE
             self.e = self.e if unit == self.unit else None  # numbers of E are in this unit, too
-            self.unit = unit
+            self.unit, self.unit_stated = unit, True
         elif code in ("G90", "G91"):
             relative = code == "G91"
             if relative != self.e_relative:  # some machines change the meaning of E too
@@ -246,23 +264,41 @@ class _GcodeReader:
             value = float(given[axis]) * unit if axis in given else 0.0
             end.append(value if axis in given and not relative else (at or 0.0) + value)
         first = next((k for k, word in enumerate(line.words) if word[0] == "G" and float(word[1]) in (0, 1)), -1)
-        lead, tail = (
-            tuple(f"{word[0]}{word[1]}" for word in words if word[0] not in "XYZE")
-            for words in (line.words[: first + 1], line.words[first + 1 :])
-        )
+        lead, tail, last = self._words_in_order(line, first + 1)
         e = self._extrude(float(given["E"])) if "E" in given else None
         start = None if None in self.position else tuple(float(x) for x in self.position if x is not None)
         self.moves.append(
             GcodeMove(
-                number, start, tuple(end), self.is_start_known, unit, relative, line.counter + lead, tail,
+                number, start, tuple(end), self.is_start_known, unit, relative, line.counter + lead, tail, last,
                 line.comments, e, given.get("E", ""), bool(self.e_relative),
             )
         )  # fmt: skip
         self.position, self.is_start_known = list(end), True
 
+    def _words_in_order(self, line: GcodeLine, behind: int) -> tuple[tuple[str, ...], ...]:
+        """Return words other than X, Y, Z and E: up to the motion, behind it, and those that run when it has ended.
+
+        `behind` is the index of the word behind the motion. Milling machines stop last, whatever the order; firmwares
+        that run commands one after the other do so with all commands behind the motion.
+        """
+        parts: tuple[list[str], ...] = [], [], []
+        all_in_order = bool(self.dialect.name) and not self.dialect.at_once
+        for k, (letter, number) in enumerate(line.words):
+            stops = f"{letter}{float(number):g}" in STOPPING and (self.dialect.at_once or k >= behind)
+            runs_after = stops or (all_in_order and letter == "M" and k >= behind)
+            if letter not in "XYZE":
+                parts[2 if runs_after else k >= behind].append(f"{letter}{number}")
+        return tuple(map(tuple, parts))
+
     def _require_modes(self, line: GcodeLine) -> tuple[float, bool]:
         """Return the unit of a move's numbers [m], and whether they are relative."""
         wrong = next((letter for letter in line.argument_texts if letter not in self.dialect.move_words), None)
+        short = [x for x in AXES if self.has_points and "." not in line.argument_texts.get(x, ".")]
+        short = [f"{axis}{line.argument_texts[axis]}" for axis in short if float(line.argument_texts[axis])]
+        if short:
+            raise line.refusal(
+                f"'{short[0]}' has no point, unlike other numbers; some controls read thousandths; add it"
+            )
         if not self.motion:
             raise line.refusal("moves without G0 or G1 before it; write which of them")
         if wrong is not None:

@@ -42,6 +42,8 @@ class Dialect:
         allows_several: Whether a line may have several commands.
         modal: Whether X, Y, Z without a G repeat the motion before.
         parentheses: Whether a text in parentheses is certainly a comment.
+        fanuc: Whether the rules of FANUC and Haas may hold: a semicolon ends a block and begins no comment, and a
+            number without a point counts thousandths of a millimetre.
         inches: Whether numbers can be in inches.
         spelling: Regular expression of valid commands.
         e_follows: Whether G91 makes E relative, whatever M82 says.
@@ -60,6 +62,7 @@ class Dialect:
     allows_several: bool = True
     modal: bool = True
     parentheses: bool = False
+    fanuc: bool = False
     inches: bool = True
     spelling: str = ".*"
     e_follows: bool = False
@@ -72,6 +75,8 @@ class Dialect:
     restores_once: bool = False
 
 
+MILLING = (".nc", ".ngc", ".tap", ".cnc")
+"""Endings of the files of milling machines."""
 REFUSED = {
     **dict.fromkeys(("G2", "G3"), "arcs are not read; let the program that made it write lines (arc fitting off)"),
     **dict.fromkeys(("G18", "G19"), "arcs in other planes are not read; write lines"),
@@ -86,6 +91,8 @@ CALLING = parse_words("M32 M47 M97-99 M808 SDCARD_PRINT_FILE SDCARD_LOOP_BEGIN S
 """Words that run lines elsewhere or again."""
 CONDITIONAL = parse_words("IF ELIF ELSE WHILE BREAK CONTINUE ABORT")
 """Words that run lines under a condition."""
+STOPPING = parse_words("M0-2 M30 M60")
+"""Words that stop the machine, behind the motion of their line."""
 TEXT = "M117"
 """The word before a text that no firmware reads as code."""
 
@@ -103,6 +110,7 @@ DIALECTS = {
             _PROBING | parse_words("G28.1 G30 G30.1"),
             at_once=True,
             parentheses=True,
+            fanuc=True,
         ),
         Dialect(
             "klipper",
@@ -151,7 +159,7 @@ def find_dialect(path: Path | str, lines: Iterable[str], name: str | None = None
     """Return the rules for reading a program.
 
     Args:
-        path: The file; `.nc` and `.ngc` are programs of milling machines.
+        path: The file; one that ends as in `MILLING` is a program of a milling machine.
         lines: Its lines, which may name the flavour (as slicers do) or have a command that only Klipper has.
         name: The firmware, if known.
 
@@ -171,4 +179,4 @@ def find_dialect(path: Path | str, lines: Iterable[str], name: str | None = None
         has_words |= command is not None and command[1].upper() in klippers
     if has_words:
         return DIALECTS["klipper"]
-    return DIALECTS["cnc"] if Path(path).suffix.lower() in (".nc", ".ngc") else _UNKNOWN
+    return DIALECTS["cnc"] if Path(path).suffix.lower() in MILLING else _UNKNOWN

@@ -19,6 +19,7 @@ _LARGEST = 1e6  # largest number in a program
 _COMMENT = re.compile(r'"[^"]*"|\([^()]*\)|;.*')  # text in quotation marks is no comment
 _CODE_IN_COMMENT = re.compile(r"[XYZEFGMT]\s*[-+.\d]|(?<![A-Z_])[XYZ](?![A-Z_])|;", re.ASCII | re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+))\s*", re.ASCII | re.IGNORECASE)
+_BLOCK = re.compile(rf";\s*(?:{_WORD.pattern})+(?:[;(].*)?", re.ASCII | re.IGNORECASE)
 _NAME = re.compile(r"[A-Z_]{2}\w*(?=\s|$)", re.ASCII | re.IGNORECASE)
 _COMMAND = re.compile(r"[GM]\s*\d", re.ASCII | re.IGNORECASE)
 _EXPONENT = re.compile(r"[\d.]E\s*[-+.\d]", re.ASCII | re.IGNORECASE)
@@ -96,6 +97,9 @@ def read_line(line: str, where: str, dialect: Dialect) -> GcodeLine | None:
     unsure = next((text for text in comments if text[0] == "(" and _CODE_IN_COMMENT.search(text)), "")
     if unsure and not dialect.parentheses:
         raise DataError(f"{where}: '{unsure:.40}' is code for some firmwares; remove it, or say --dialect cnc or rrf")
+    block = next((text for text in comments if text[0] == ";" and _BLOCK.fullmatch(text)), "")
+    if block and dialect.fanuc:
+        raise DataError(f"{where}: '{block:.40}' is code for some controls; remove it, or write it in parentheses")
     if code.startswith("/"):
         raise DataError(f"{where}: it is not known whether lines with / are run; remove the line, or the mark")
     words, end = [], 0

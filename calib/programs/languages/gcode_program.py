@@ -1,11 +1,18 @@
 """G-code programs as written: their straight moves, and the same program with other points.
 
+Comments are added behind a semicolon, which Marlin and Klipper need, or in parentheses, which every milling machine
+reads. Parentheses do not nest, and a line of LinuxCNC has at most 255 characters. For milling machines, every number
+has a point.
+
 E is divided along a cut move, absolute (M82) or relative (M83). Other words (F, S ...) stay on the first piece, since
-they hold from there on. Comments and all other lines stay unchanged.
+they hold from there on; those that run when the move has ended (M0, M30 ...), on the last. Comments and all other lines
+stay unchanged.
 """
 
 from __future__ import annotations
 
+import re
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,6 +28,9 @@ MILLIMETRE, INCH = from_unit(1.0, "mm"), from_unit(25.4, "mm")
 """Units of programs [m]."""
 _DECIMALS = {MILLIMETRE: 4, INCH: 6}
 _E_DECIMALS = 5
+_IN_PARENTHESES = str.maketrans("();%!?~", "[],____")  # ends of comments, blocks and tapes; grbl obeys the others
+_WIDEST = 100
+_HEAD = re.compile(r"\s*(%\s*$|O\s*\d)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -36,6 +46,7 @@ class GcodeMove:
         relative: Whether the numbers count from the machine's position.
         lead: Words up to G0 or G1; without a G, only the line number, if any.
         tail: Other words, without E.
+        last: Words that run when the move has ended.
         comments: Comments on the line, as written.
         e: E at the beginning and at the end; None without E, or where the move cannot be cut.
         e_text: E as written; empty if there is none.
@@ -50,6 +61,7 @@ class GcodeMove:
     relative: bool
     lead: tuple[str, ...]
     tail: tuple[str, ...]
+    last: tuple[str, ...]
     comments: str
     e: tuple[float, float] | None = None
     e_text: str = ""
@@ -63,12 +75,28 @@ class GcodeMove:
 
 @dataclass(frozen=True)
 class GcodeProgram:
-    """A program: its path, its lines, its straight moves in order, and what ends its lines."""
+    """A program.
+
+    Attributes:
+        path: Its file.
+        lines: Its lines.
+        moves: Its straight moves in order.
+        line_end: What ends its lines.
+        unit_stated: Whether its unit is certain; a milling machine without G20 or G21 may begin in inches.
+        fanuc: Whether FANUC may read it (`calib.programs.languages.gcode_dialects.Dialect`).
+    """
 
     path: str
     lines: tuple[str, ...]
     moves: tuple[GcodeMove, ...]
     line_end: str = "\n"
+    fanuc: bool = False
+    unit_stated: bool = True
+
+    @property
+    def comment(self) -> str:
+        """How its comments begin."""
+        return "(" if self.fanuc else ";"
 
     def label(self, move: GcodeMove) -> str:
         """Return the name of a move in messages."""
@@ -76,7 +104,7 @@ class GcodeProgram:
 
     def rewritten(self, ways: Sequence[FloatArray] | None, comments: Sequence[str] = ()) -> str:
         """Return the text of the program with other points, and comments first, after the mark that starts a tape
-        (`%`).
+        (`%`) and the program's number.
 
         `ways` are points through which each move goes in straight lines, the last of which is its end, (n_pieces, 3)
         [m]; None: all lines stay unchanged.
@@ -90,9 +118,14 @@ class GcodeProgram:
             if not move.is_start_known and move.start is not None:
                 stands = np.array(move.start, dtype=np.float64)
             lines[move.line], stands = self._pieces(move, way, stands)
-        first = 1 if self.lines and self.lines[0].strip() == "%" else 0
-        lines.insert(first, [f"; {comment}" for comment in comments])
+        first = next((k for k, line in enumerate(self.lines) if not _HEAD.match(line)), 0)
+        lines.insert(first, [line for comment in comments for line in self._comment_lines(comment)])
         return "".join(line + self.line_end for piece in lines for line in piece)
+
+    def _comment_lines(self, text: str) -> list[str]:
+        if not self.fanuc:
+            return [f"; {text}"]
+        return [f"({line})" for line in textwrap.wrap(text.translate(_IN_PARENTHESES), _WIDEST)]
 
     def _pieces(self, move: GcodeMove, way: FloatArray, stands: FloatArray) -> tuple[list[str], FloatArray]:
         """The lines of one move, and where the machine then stands [m]."""
@@ -100,11 +133,14 @@ class GcodeProgram:
         for k, point in enumerate(way):
             numbers = np.round((point - stands if move.relative else point) / move.unit, decimals) + 0.0
             stands = stands + numbers * move.unit if move.relative else numbers * move.unit
-            axes = [f"{axis}{_format_number(number, decimals)}" for axis, number in zip("XYZ", numbers, strict=True)]
+            axes = [
+                f"{axis}{_format_number(number, decimals, point=self.fanuc)}"
+                for axis, number in zip("XYZ", numbers, strict=True)
+            ]
             words = [*move.lead, *axes, *move.tail] if k == 0 else [*move.motion, *axes]
             if move.e_text:
                 words.append(f"E{self._share(move, k, len(way))}")
-            lines.append(" ".join(words))
+            lines.append(" ".join([*words, *move.last] if k == len(way) - 1 else words))
         lines[0] += f" {move.comments}" if move.comments else ""
         return lines, stands
 
@@ -123,7 +159,8 @@ class GcodeProgram:
         return _format_number(after - before if move.e_relative else after, decimals)
 
 
-def _format_number(number: float, decimals: int) -> str:
-    """A number with at most `decimals` decimals and no exponent."""
+def _format_number(number: float, decimals: int, *, point: bool = False) -> str:
+    """A number with at most `decimals` decimals and no exponent; with a `point`, in any case."""
     text = f"{number:.{decimals}f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
+    text = "0" if text == "-0" else text
+    return text if "." in text or not point else f"{text}.0"

@@ -93,6 +93,8 @@ class NominalCell:
         They are near the joints of the pose before, (n_actuated,) [m or rad], in the configuration that the program
         states.
         """
+        if says is not None and sides.are_undecided(says):
+            return None, f"has configuration {says.text}, whose sides count from {sides.remedy}"
         goal = self._base_pose * flange * self._target
         goals = Goals(goal.translation[None], goal.rotation[None])
         q = self._nearest_solution(goals, before[None], before, says, sides)
@@ -145,14 +147,23 @@ class NominalCell:
 
 
 class Sides:
-    """The sides of the wrist of a six-axis arm, relative to a reference pose of joints (n_actuated,) [m or rad]."""
+    """The sides of the wrist of a six-axis arm, relative to a reference pose of joints (n_actuated,) [m or rad].
 
-    def __init__(self, robot: Robot, reference: FloatArray) -> None:
-        self.robot = robot
+    `remedy` names this pose, and what to do if it lies on a border between two sides.
+    """
+
+    def __init__(self, robot: Robot, reference: FloatArray, remedy: str) -> None:
+        self.robot, self.remedy = robot, remedy
         joints = {joint.name: joint for joint in robot.urdf.joints}
         self._joints = [joints[name] for name in robot.joint_names]
         self._known = len(self._joints) == 6 and not robot.mechanism.loops
         self._reference = self._measures(reference) if self._known else (np.zeros(3), 0.0, 0.0)
+        self._decided = (*(side is not None for side in self.sides_at(reference)[:3]), True)
+
+    def are_undecided(self, says: Configuration) -> bool:
+        """Whether the reference pose lies on the border of a stated side, so that the side means nothing."""
+        pairs = zip(says.sides, self._decided, strict=True)
+        return self._known and any(stated is not None and not decided for stated, decided in pairs)
 
     def sides_at(self, q: FloatArray) -> FourSides:
         """Return `Configuration.sides` at joints (n_actuated,) [m or rad].

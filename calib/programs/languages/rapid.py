@@ -162,7 +162,8 @@ class RapidReader(Reader):
             shown, key = code.excerpt(name, name + 1), code.word(name)
             if not code.is_mark(name + 1, "{"):
                 self.declare(key, Data(shown, 0, value if equals < stop else NO_VALUE, kind, shared))
-            for k, span in enumerate(self._parts(value) if code.is_mark(name + 1, "{") else (), 1):
+            inside = code.bracket_content(*value, "[") if code.is_mark(name + 1, "{") else None
+            for k, span in enumerate(code.split(*inside) if inside else (), 1):
                 self.declare(f"{key}{{{k}}}", Data(f"{shown}{{{k}}}", 0, span, kind, shared))
         self.expression(equals + 1, stop)
         self.uses.compute(code.word(name), self.names(equals + 1, stop))
@@ -257,7 +258,9 @@ class RapidReader(Reader):
 
     def _parts(self, span: Span) -> list[Span]:
         inside = self.code.bracket_content(*span, "[")
-        return self.code.split(*inside) if inside else []
+        if inside is None:
+            raise LeftOutError(f"'{self.code.excerpt(*span)}' is not written out as numbers")
+        return self.code.split(*inside)
 
     def _numbers(self, span: Span, count: int, what: str) -> list[tuple[int, int]]:
         numbers = []

@@ -46,7 +46,9 @@ def test_the_covariance_is_that_of_drawn_parameters_and_of_joints_off_by_what_is
         np.testing.assert_allclose(prediction.covariance[k, 0], simulated, atol=away)
 
 
-def test_where_the_side_of_a_backlash_is_unknown_positions_are_as_uncertain_as_both_sides_are_apart(tmp_path):
+def test_where_the_side_of_a_backlash_is_unknown_positions_are_as_uncertain_as_both_sides_are_apart(
+    tmp_path, run_calib
+):
     terms = "".join(f"  - {{joint: {name}, term: backlash, sigma: 0.3 mrad}}\n" for name in ("j2", "j4"))
     arm = calib.load(write_six_axis(tmp_path, YAML + FREE + terms))
     truth = arm.with_parameters({"j2.backlash": 4e-4, "j4.backlash": -3e-4})
@@ -66,6 +68,11 @@ def test_where_the_side_of_a_backlash_is_unknown_positions_are_as_uncertain_as_b
     np.testing.assert_allclose(predicted.covariance[:, 0], spread, rtol=0.01, atol=1e-3 * np.max(spread))
     assert fit.claim_at(poses).rms == pytest.approx(np.sqrt(np.mean(np.trace(spread, axis1=1, axis2=2))), rel=0.01)
     assert "unknown directions of approach" in names_of(predicted.contains)
+    fit.save(tmp_path / "out", force=True, pages=False)
+    table = write_table(tmp_path / "poses.csv", [f"j{k} [rad]" for k in range(1, 7)], q)
+    run = run_calib("predict", arm.path, table, "--result", tmp_path / "out", "--out", tmp_path / "predicted.csv")
+    assert run.code == 0
+    assert "add approach_j2, approach_j4 (+1 or -1)" in " ".join((run.out + run.err).split())
 
 
 def test_the_summary_names_mean_rms_largest_and_the_worst_pose(fit):

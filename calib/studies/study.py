@@ -59,6 +59,7 @@ from calib.core.robots.acceleration import compilation_requested, compile_kinema
 from calib.core.robots.configurations import joint_vector
 from calib.core.robots.loading import RobotLike, as_robot
 from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Context
 from calib.core.rows.observed import views_of_instruments
 from calib.core.rows.whitening import Whitening
 from calib.studies.study_data import Noise, ResampledDraws, SimulatedDraws, simulated_draws
@@ -306,9 +307,10 @@ def _draw(setting: _Setting, truth: Robot, fit: Fit) -> Draws:
     errors = half_width
     if len(setting.prediction_joints):
         q, near = setting.prediction_joints, setting.prediction_passive
-        predicted = fit.uncertainty.predict(fit.robot, q, near=near, turns=False)
+        context = replace(Context.neutral(*q.shape), approach=np.ones_like(q))  # the side of any play is known
+        predicted = fit.uncertainty.predict(fit.robot, q, context, near, turns=False)
         half_width = predicted.coverage_factor * predicted.std
-        errors = predicted.positions - truth.positions(q, seed=near)
+        errors = predicted.positions - truth.positions(q, context, seed=near)
     # repeats of resampled poses scatter less than noise does
     square = fit.chi_square if isinstance(setting.source, SimulatedDraws) else None
     rows = (

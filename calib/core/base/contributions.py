@@ -35,6 +35,7 @@ class Contribution(Enum):
     SECOND_ORDER = ("second order", (Uncertainty.INTERVAL,))
     UNDECIDED = ("undecided terms", (Uncertainty.INTERVAL, Uncertainty.POSITION))
     JOINT_ERRORS = ("unexplained joint errors", (Uncertainty.POSITION,))
+    SIDES = ("unknown directions of approach", (Uncertainty.POSITION,))
     FRAME = ("frame", (Uncertainty.POSITION,))
     LEFT_OUT = ("poses left out", (Uncertainty.CLAIM,))
     BEFORE_AND_AFTER = ("before and after", (Uncertainty.GAIN,))

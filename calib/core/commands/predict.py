@@ -6,7 +6,7 @@ import click
 import numpy as np
 
 from calib.core.base.units import millimetres, quantity_text
-from calib.core.base.words import count_noun
+from calib.core.base.words import count_noun, listing
 from calib.core.commands.common import (
     Output,
     failure_lines,
@@ -16,10 +16,14 @@ from calib.core.commands.common import (
     values_options,
     with_values,
 )
+from calib.core.data.measurement_columns import APPROACH
 from calib.core.data.measurement_files import format_positions, read_poses
+from calib.core.data.measurements import Poses
 from calib.core.judging.claim import Claim
 from calib.core.results.result_reading import load_result
 from calib.core.robots.configurations import near_singularities
+from calib.core.robots.robot import Robot
+from calib.core.robots.terms.term import Condition
 
 _FURTHER = 1.05
 """A message compares the errors with those at poses like the measured ones if they are this many times as large."""
@@ -60,7 +64,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
         known_here = float(np.sqrt(np.mean(predicted.reported_distance**2)))
         content["expected"], expected = _expected_error(calibrated.verdict.claim, known_here)
         content["beyond_curves"] = beyond = calibrated.remarks_beyond_curves(poses)
-        remarks = remarks + beyond
+        remarks = remarks + beyond + _unknown_sides(model, poses)
     else:
         text = format_positions(model, poses, model.positions(poses.joints, poses.conditions), comment)
     output.write(out, text)
@@ -74,6 +78,18 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
             f" (pose {summary['worst_pose']}), {known.uncertainty.coverage_sentence}{predicted.remark()}"
         )
     output.json(content)
+
+
+def _unknown_sides(robot: Robot, poses: Poses) -> list[str]:
+    """Return a remark on joints with backlash, if the poses do not state from which side these came."""
+    terms = [term for term in robot.terms if Condition.APPROACH in term.depends_on]
+    if poses.approach is not None or not terms:
+        return []
+    columns = listing([f"{APPROACH}{term.joint}" for term in terms])
+    return [
+        f"{poses.path}: states no directions of approach; positions are in the middle of the backlash, and their"
+        f" uncertainty counts it. If the directions are known, add {columns} (+1 or -1)"
+    ]
 
 
 def _expected_error(claim: Claim | None, known: float) -> tuple[dict[str, float] | None, str]:

@@ -24,7 +24,7 @@ from calib.core.fitting.terms.candidate_terms import TermChoice
 from calib.core.fitting.unexplained import UnexplainedErrors, unexplained_errors
 from calib.core.numerics.statistics import Statistics
 from calib.core.robots.accuracy_of_files import Holds
-from calib.core.robots.terms.term import Context
+from calib.core.robots.terms.term import Condition, Context
 from calib.core.rows.frames import ReportedUncertainty
 from calib.core.rows.prediction import ParameterUncertainty, PositionUncertainty, UndecidedTerms
 
@@ -107,6 +107,7 @@ class Fit(SolvedFit, HintedObject):
             Contribution.REGIONS: lambda: self.interval_factor > 1.0,
             Contribution.UNDECIDED: lambda: self.undecided is not None,
             Contribution.JOINT_ERRORS: lambda: self.joint_error > 0.0,
+            Contribution.SIDES: lambda: any(Condition.APPROACH in term.depends_on for term in self.robot.terms),
             Contribution.FRAME: lambda: False,
         }
         return frozenset(own for own in contributions_to(number) if own not in has or has[own]())

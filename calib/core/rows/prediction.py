@@ -10,6 +10,10 @@ independent error of each joint at each pose, as large as residuals show (`calib
 
     covariance of x(q)  =  B C B^T + delta^2 K K^T,      K = d(position)/d(joints), scaled
 
+Backlash moves a joint to one side or the other. Where a pose does not state the direction of approach, its position is
+the middle, and each joint with play c, known to a standard deviation s, adds the covariance of a motion by
++-sqrt(c^2 + s^2).
+
 The robot's repeatability is not included. Joint terms that a choice left out, and that the data do not exclude, have
 coefficients that are zero and uncertain (`UndecidedTerms`). They join the free parameters in C and in B, with their
 correlations.
@@ -37,8 +41,9 @@ from calib.core.numerics.rigid import cross_matrices
 from calib.core.robots.acceleration import compile_for, many
 from calib.core.robots.configurations import Configurations
 from calib.core.robots.jacobian import linearise
+from calib.core.robots.joint_errors import term_columns
 from calib.core.robots.robot import Robot
-from calib.core.robots.terms.term import Context, TermSection
+from calib.core.robots.terms.term import Condition, Context, TermSection
 from calib.core.rows.common_motion import CommonMotion, target_poses
 
 CHUNK = 1024
@@ -343,6 +348,25 @@ class ParameterUncertainty(ReadOnlyArrays):
         hold(jacobian)
         return UncertaintyJacobian(whole, configurations, linear.positions, jacobian)
 
+    def _motion_to_one_side(
+        self, robot: Robot, linear: UncertaintyJacobian, q: FloatArray, context: Context, *, turns: bool
+    ) -> FloatArray:
+        """Return how far play moves the targets to one side where it is not known to which, by coefficient.
+
+        The shape is (n_poses, n_targets, 3 or 6, k), with k = 0 where all directions of approach are known.
+        """
+        whole, unknown = linear.robot, context.approach == 0
+        n_rows = linear.jacobian.shape[2]
+        if not (np.any(unknown) and any(Condition.APPROACH in term.depends_on for term in whole.terms)):
+            return np.zeros((*linear.positions.shape[:2], n_rows, 0))
+        sides = (term_columns(whole, q, replace(context, approach=side)) for side in (unknown * 1.0, unknown * 0.0))
+        columns = tuple(moved - middle for moved, middle in zip(*sides, strict=True))
+        moved = linearise(whole, replace(linear.configurations, term_columns=columns), turns=turns)
+        names, variances = self.lasting_names(robot), np.zeros(len(whole.parameters))
+        place = {p.name: k for k, p in enumerate(whole.parameters)}
+        variances[[place[name] for name in names]] = np.diagonal(self.covariance_of(robot))[: len(names)]
+        return np.asarray((moved.jacobian * np.sqrt(whole.values**2 + variances))[..., whole.coefficients])
+
     def predict(
         self,
         robot: Robot,
@@ -379,6 +403,7 @@ class ParameterUncertainty(ReadOnlyArrays):
             with compile_for(len(q), many(robot.mechanism)):
                 linear = self.linearise(robot, q[some], context.select(some), seed, turns=turns)
             points[some], jacobian = linear.positions, linear.jacobian * counts
+            to_one_side = self._motion_to_one_side(robot, linear, q[some], context.select(some), turns=turns)
             flat = jacobian.reshape(-1, len(further))
             by_free, by_further = flat[:, :free] @ self.covariance, flat @ further  # the covariance is read once
             parts = [[array.reshape(*jacobian.shape[:3], -1) for array in (flat[:, :free], by_free, by_further)]]
@@ -390,6 +415,7 @@ class ParameterUncertainty(ReadOnlyArrays):
             for to, arrays in zip((whole, without_common), parts, strict=False):
                 for covariance, rows in zip(to, ROWS, strict=False):
                     derivative, by_covariance, others = (array[:, :, rows] for array in arrays)
+                    others = np.concatenate([others, to_one_side[:, :, rows]], axis=-1)
                     covariance[some] = by_covariance @ derivative.swapaxes(2, 3) + others @ others.swapaxes(2, 3)
         hold(points, *whole, *without_common)
         measured = PositionUncertainty(

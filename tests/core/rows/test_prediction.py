@@ -1,4 +1,5 @@
 import csv
+import itertools
 import json
 import re
 from dataclasses import replace
@@ -8,12 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.core.base.contributions import names_of
 from calib.core.robots.terms.terms import parse_terms
 from calib.core.rows.prediction import PositionUncertainty, order_of_joints, recombined_joints
 from calib.shared.candidates import rows_of_poses
 from tests.kind_checks import positions_by_joint
 from tests.project import write_table
-from tests.six_axis_arm import FREE, joints, noisy, write_six_axis
+from tests.six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
 SIGMA = 4e-5
 
@@ -42,6 +44,35 @@ def test_the_covariance_is_that_of_drawn_parameters_and_of_joints_off_by_what_is
         size = np.max(np.abs(simulated))
         away = 3 * np.sqrt(2 / amount) * size  # three standard errors
         np.testing.assert_allclose(prediction.covariance[k, 0], simulated, atol=away)
+
+
+def test_where_the_side_of_a_backlash_is_unknown_positions_are_as_uncertain_as_both_sides_are_apart(
+    tmp_path, run_calib
+):
+    terms = "".join(f"  - {{joint: {name}, term: backlash, sigma: 0.3 mrad}}\n" for name in ("j2", "j4"))
+    arm = calib.load(write_six_axis(tmp_path, YAML + FREE + terms))
+    truth = arm.with_parameters({"j2.backlash": 4e-4, "j4.backlash": -3e-4})
+    rng = np.random.default_rng(3)
+    named = tuple(map(str, range(200)))
+    fit = calib.fit(arm, calib.simulate(truth, calib.Poses(joints(200, 1), named, named, "simulated", ()), 1e-7, rng))
+    q = joints(5, seed=5)
+    poses = calib.Poses(q, named[:5], named[:5], "further", ())
+    sides = []
+    for second, fourth in itertools.product((1.0, -1.0), repeat=2):
+        from_side = replace(poses, approach=np.tile([1.0, second, 1.0, fourth, 1.0, 1.0], (5, 1)))
+        sides.append(truth.positions(q, from_side.conditions)[:, 0])
+        assert np.max(fit.predict(from_side).std) < 2e-7  # known but for the noise
+    predicted = fit.predict(poses)
+    np.testing.assert_allclose(predicted.positions[:, 0], np.mean(sides, axis=0), atol=1e-6)
+    spread = np.mean([off[:, :, None] * off[:, None] for off in sides - np.mean(sides, axis=0)], axis=0)
+    np.testing.assert_allclose(predicted.covariance[:, 0], spread, rtol=0.01, atol=1e-3 * np.max(spread))
+    assert fit.claim_at(poses).rms == pytest.approx(np.sqrt(np.mean(np.trace(spread, axis1=1, axis2=2))), rel=0.01)
+    assert "unknown directions of approach" in names_of(predicted.contains)
+    fit.save(tmp_path / "out", force=True, pages=False)
+    table = write_table(tmp_path / "poses.csv", [f"j{k} [rad]" for k in range(1, 7)], q)
+    run = run_calib("predict", arm.path, table, "--result", tmp_path / "out", "--out", tmp_path / "predicted.csv")
+    assert run.code == 0
+    assert "add approach_j2, approach_j4 (+1 or -1)" in " ".join((run.out + run.err).split())
 
 
 def test_the_summary_names_mean_rms_largest_and_the_worst_pose(fit):

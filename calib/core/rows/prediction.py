@@ -364,7 +364,9 @@ class ParameterUncertainty(ReadOnlyArrays):
         moved = linearise(whole, replace(linear.configurations, term_columns=columns), turns=turns)
         names, variances = self.lasting_names(robot), np.zeros(len(whole.parameters))
         place = {p.name: k for k, p in enumerate(whole.parameters)}
-        variances[[place[name] for name in names]] = np.diagonal(self.covariance_of(robot))[: len(names)]
+        of_names = np.sum(self._further(robot)[: len(names)] ** 2, axis=1)
+        of_names[: len(self.covariance)] += np.diagonal(self.covariance)
+        variances[[place[name] for name in names]] = of_names
         return np.asarray((moved.jacobian * np.sqrt(whole.values**2 + variances))[..., whole.coefficients])
 
     def predict(

@@ -88,7 +88,7 @@ def carries_home(mechanism: Mechanism, mode: AssemblyMode) -> bool:
 def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:
     """Bring turning joints of (n, n_passive) [m or rad] within half a turn of home, or within their limits.
 
-    A full turn is the same pose.
+    A full turn is the same pose, unless a joint follows in another proportion.
     """
     turn = 2 * np.pi
     turns = np.round((passive - mode.passive) / turn)
@@ -100,7 +100,7 @@ def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) ->
     lowered = near_home - turn * np.ceil((near_home - high) / turn)
     inside = np.where((near_home < low) & (raised <= high), raised, near_home)
     inside = np.where((near_home > high) & (lowered >= low), lowered, inside)
-    return np.where(mechanism.is_metre_column, passive, inside)
+    return np.where(mechanism.passive_repeats, inside, passive)
 
 
 def are_within_limits(mechanism: Mechanism, passive: FloatArray) -> BoolArray:

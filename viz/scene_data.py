@@ -89,7 +89,7 @@ def scene_data(scene: ViewerScene, *, live: bool = False) -> dict[str, Any]:
 
 
 def summary(scene: ViewerScene) -> list[dict[str, Any]]:
-    """Return the number of poses, and RMS and largest error [mm] of each group, before and after calibration if known."""
+    """Return number of poses, RMS and largest error [mm] of each group, before and after calibration if known."""
     rows, table = [], scene.poses
     group = np.array(table.group)
     for name in GROUPS:

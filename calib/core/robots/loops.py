@@ -162,9 +162,11 @@ def _joint_beyond_limits(mechanism: Mechanism, passive: FloatArray) -> str:
     worst = int(np.argmax(excess))
     dimension: Dimension = "length" if mechanism.is_metre_column[worst] else "angle"
     unit = DISPLAY_UNIT[dimension]
-    value, low, high = (in_unit(float(x[worst]), unit) for x in (passive, mechanism.lower, mechanism.upper))
+    value, far, low, high = (
+        in_unit(float(x[worst]), unit) for x in (passive, excess, mechanism.lower, mechanism.upper)
+    )
     return (
-        f"passive {joints_named(mechanism.passive[worst])} at {value:.4g} {unit}, beyond its limits"
+        f"passive {joints_named(mechanism.passive[worst])} at {value:.4g} {unit}, {far:.3g} {unit} beyond its limits"
         f" ({low:.4g} to {high:.4g} {unit})"
     )
 

@@ -194,8 +194,11 @@ def test_a_pose_beyond_a_passive_limit_names_the_joint_and_its_angle_in_the_clos
     with pytest.raises(calib.UnreachablePoseError) as error:
         medrue.assemble(q)
     match = re.search(
-        r"only with passive joint (\w+) at (\S+) deg, beyond its limits \(-149 to -17.19 deg\)", str(error.value)
+        r"only with passive joint (\w+) at (\S+) deg, (\S+) deg beyond its limits \(-149 to -17.19 deg\)",
+        str(error.value),
     )
+    angle, beyond = float(match[2]), float(match[3])
+    assert beyond == pytest.approx(max(-149 - angle, angle + 17.19), rel=5e-3, abs=0.02)  # printed with three digits
     expected = np.degrees(forward(q[None], table1().nominal).passive[0, PASSIVE_JOINTS.index(match[1])])
     assert (float(match[2]) - expected) % 360 == pytest.approx(0, abs=0.05)  # printed with four digits
 

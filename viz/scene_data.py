@@ -89,17 +89,18 @@ def scene_data(scene: ViewerScene, *, live: bool = False) -> dict[str, Any]:
 
 
 def summary(scene: ViewerScene) -> list[dict[str, Any]]:
-    """Return count, root mean square and largest error [mm] of each group, before and after calibration if known."""
-    rows = []
-    group = np.array(scene.poses.group)
+    """Return number of poses, RMS and largest error [mm] of each group, before and after calibration if known."""
+    rows, table = [], scene.poses
+    group = np.array(table.group)
     for name in GROUPS:
         chosen = group == name
-        row: dict[str, Any] = {"group": name, "count": int(np.sum(chosen))}
+        poses = {(table.series[k], table.place[k]) for k in np.flatnonzero(chosen)}  # one may have several points
+        row: dict[str, Any] = {"group": name, "poses": len(poses)}
         for state in scene.states:
-            lengths = np.linalg.norm(scene.poses.error(state)[chosen], axis=1)
+            lengths = np.linalg.norm(table.error(state)[chosen], axis=1)
             known = millimetres(lengths[np.isfinite(lengths)])
             row[state] = {"rms": float(np.sqrt(np.mean(known**2))), "max": float(known.max())} if len(known) else None
-        if row["count"] and scene.states and scene.shows_poses:
+        if poses and scene.states and scene.shows_poses:
             rows.append(row)
     return rows
 

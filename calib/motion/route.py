@@ -230,7 +230,8 @@ def _turned_by_full_turns(robot: Robot, start: FloatArray, joints: FloatArray) -
     Every joint is as near as possible, or all but one.
     """
     least, most = ((robot.joint_limits[:, end] - joints) / (2 * np.pi) for end in (0, 1))
-    fewest, largest = np.where(robot.mechanism.turning, (np.ceil(least - _ROUND), np.floor(most + _ROUND)), 0.0)
+    possible = np.ceil(least - _ROUND), np.floor(most + _ROUND)
+    fewest, largest = np.where(robot.mechanism.actuated_repeats, possible, 0.0)
     turns = np.clip(np.round((start - joints) / (2 * np.pi)), fewest, largest)
     further = turns + np.sign(start - joints - 2 * np.pi * turns)
     result = np.full((_TURNS, *joints.shape), np.nan)

@@ -106,7 +106,7 @@ def test_summary_and_ranges_are_in_their_units(scene):
     lengths = 1e3 * np.linalg.norm(scene.poses.error("after")[:5], axis=1)
     expected = {"rms": np.sqrt(np.mean(lengths**2)), "max": lengths.max()}
     assert rows["identification"]["after"] == pytest.approx(expected)
-    assert rows["validation"]["count"] == len(scene.poses) - 5
+    assert rows["validation"]["poses"] == len(scene.poses) - 5
     assert "measured" not in rows
     sizes = {state: np.linalg.norm(scene.poses.error(state), axis=1) for state in ("before", "after")}
     result = ranges(sizes, scene.poses.outlier)
@@ -115,6 +115,12 @@ def test_summary_and_ranges_are_in_their_units(scene):
     assert shown["after"] == [0.0, pytest.approx(1e3 * np.quantile(usual, 0.95))]
     assert result["after"] == [0.0, pytest.approx(np.quantile(usual, 0.95))]
     assert 0 < result["both"][0] < result["after"][1] < result["both"][1]
+
+
+def test_the_summary_counts_a_pose_with_several_points_once(scene):
+    both = scene.poses.subset(np.repeat(np.arange(len(scene.poses)), 2))
+    numbers = [row["poses"] for row in summary(dataclasses.replace(scene, poses=both))]
+    assert numbers == [5, len(scene.poses) - 5]
 
 
 def test_of_very_many_rows_the_page_holds_those_that_matter_and_says_so(scene, monkeypatch):

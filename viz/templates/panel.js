@@ -39,10 +39,10 @@ class Panel {
     if (both.length) {
       const judged = both.find((row) => row.group === "validation") || both[0];
       place.append(...this.headline(judged.before.rms, judged.after.rms, "mm",
-        `position error (RMS) before and after calibration, ${judged.count} ${judged.group} poses`));
+        `position error (RMS) before and after calibration, ${judged.poses} ${judged.group} poses`));
     }
     if (summary.length) {
-      place.append(this.errorTable("Error [mm]", summary.map((row) => [`${row.group} (${row.count})`,
+      place.append(this.errorTable("Error [mm]", summary.map((row) => [`${row.group} (${row.poses})`,
         ...[row.before, row.after].flatMap((part) => [part ? part.rms : NaN, part ? part.max : NaN])])));
     }
     place.append(...this.others(!both.length), ...this.certainty());

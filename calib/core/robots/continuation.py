@@ -14,10 +14,11 @@ at most half of the one before, the first below 0.5 rad) and stays in the assemb
 otherwise it is halved. Limits of the passive joints play no part here.
 
 Ways. Home is a configuration of the nominal robot. A robot with other parameters is reached by moving the origins from
-nominal to its own while the loops follow (`carry`); from its home, poses are solved nearest first, each starting from
-the nearest solved pose, so that one step is usually enough. Poses that this does not reach are solved at the nominal
-robot and carried over from there, or by way of stepping stones spread around them. All poses advance together in
-arrays. After a small change of parameters the old solution is the start (`seed`).
+nominal to its own while the loops follow (`carry`). From its home, each pose is solved along the straight line: the
+signs of an assembly mode may leave several solutions (as of a 3-RPR), and this way the other poses do not decide which.
+Poses that this does not reach are solved nearest first, each from the nearest solved pose; or at the nominal robot and
+carried over from there; or by way of stepping stones spread around them. All poses advance together in arrays. After a
+small change of parameters the old solution is the start (`seed`).
 
 When it fails. A pose stays unsolved if every way to it passes a singularity, or if its loops cannot be closed.
 """
@@ -153,13 +154,14 @@ def solve_each(matrix: FloatArray, right: FloatArray) -> FloatArray:
 def follow(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, thorough: bool = True) -> LoopSolution:
     """Solve poses (n, n_actuated) [m or rad] in the assembly mode of home, by the ways of the module docstring.
 
-    Limits of the passive joints play no part. If not `thorough`, only the way from the nearest solved pose is tried.
+    Limits of the passive joints play no part. If not `thorough`, only the straight way from home is tried, so that
+    every solved pose is solved alike without the others.
     """
     at_home = mode.actuated[None], mode.passive[None]
     home = carry(mechanism, mode, *at_home)
     known = at_home[0], home.passive
     if home.ok[0] and not thorough:
-        return _solve_outwards(mechanism, mode, known, actuated, thorough=False)
+        return _solve_straight(mechanism, mode, known, actuated, _SMALLEST_AT_ONCE)
     solution = LoopSolution.empty(len(actuated), len(mechanism.passive))
     if home.ok[0]:
         solution = _solve_outwards(mechanism, mode, known, actuated)
@@ -209,29 +211,45 @@ def carry(
     return solution
 
 
-def _solve_outwards(
+def _solve_straight(
     mechanism: Mechanism,
     mode: AssemblyMode,
-    known: tuple[FloatArray, FloatArray],
+    home: tuple[FloatArray, FloatArray],
     actuated: FloatArray,
-    *,
-    thorough: bool = True,
+    smallest: float,
 ) -> LoopSolution:
-    """Solve poses nearest to home first, each from the nearest pose solved so far; try the rest again at the end."""
+    """Solve poses along the straight lines from home, (1, n_actuated) and (1, n_passive) [m or rad]."""
     solution = LoopSolution.empty(len(actuated), len(mechanism.passive))
-    effort = (_NEIGHBOURS, _SMALLEST_PART) if thorough else (1, _SMALLEST_AT_ONCE)
-    points = actuated / mechanism.driven_scale
-    order = np.argsort(np.linalg.norm(points - known[0][0] / mechanism.driven_scale, axis=1), kind="stable")
+    for first in range(0, len(actuated), _MOST_KNOWN):
+        part = np.arange(first, min(first + _MOST_KNOWN, len(actuated)))
+        start = np.repeat(home[0], len(part), axis=0), np.repeat(home[1], len(part), axis=0)
+        solution.take(_continue(mechanism, mode, start, actuated[part], smallest), part)
+    return solution
+
+
+def _solve_outwards(
+    mechanism: Mechanism, mode: AssemblyMode, home: tuple[FloatArray, FloatArray], actuated: FloatArray
+) -> LoopSolution:
+    """Solve poses straight from home; others nearest to home first, each from the nearest pose solved so far.
+
+    What is left is tried again at the end.
+    """
+    solution = _solve_straight(mechanism, mode, home, actuated, _SMALLEST_PART)
+    solved, left = np.flatnonzero(solution.ok), np.flatnonzero(~solution.ok)
+    solved = solved[:: 1 + len(solved) // _MOST_KNOWN]
+    known = np.vstack([home[0], actuated[solved]]), np.vstack([home[1], solution.passive[solved]])
+    ways = (actuated[left] - home[0]) / mechanism.driven_scale
+    order = left[np.argsort(np.linalg.norm(ways, axis=1), kind="stable")]
     start, size = 0, 8
     while start < len(order):
         batch = order[start : start + size]
-        solution.take(_solve_from_nearest(mechanism, mode, known, actuated[batch], *effort), batch)
+        solution.take(_solve_from_nearest(mechanism, mode, known, actuated[batch], _NEIGHBOURS), batch)
         solved = batch[solution.ok[batch]][:: 1 + len(batch) // _MOST_KNOWN]
         known = np.vstack([known[0], actuated[solved]]), np.vstack([known[1], solution.passive[solved]])
         start, size = start + size, size * 2
     left = np.flatnonzero(~solution.ok)
     if len(left) and len(known[0]) > _NEIGHBOURS:
-        solution.take(_solve_from_nearest(mechanism, mode, known, actuated[left], *effort), left)
+        solution.take(_solve_from_nearest(mechanism, mode, known, actuated[left], _NEIGHBOURS), left)
     return solution
 
 
@@ -241,7 +259,6 @@ def _solve_from_nearest(
     known: tuple[FloatArray, FloatArray],
     actuated: FloatArray,
     neighbours: int,
-    smallest: float = _SMALLEST_PART,
 ) -> LoopSolution:
     """Solve poses from known ones, the nearest first; another way round where the straight line is blocked."""
     solution, scale = LoopSolution.empty(len(actuated), len(mechanism.passive)), mechanism.driven_scale
@@ -255,7 +272,7 @@ def _solve_from_nearest(
             break
         starts = places.query(actuated[todo] / scale, k=ranks)[1].ravel()
         goals = np.repeat(todo, len(ranks))
-        there = _continue(mechanism, mode, (known[0][starts], known[1][starts]), actuated[goals], smallest)
+        there = _continue(mechanism, mode, (known[0][starts], known[1][starts]), actuated[goals], _SMALLEST_PART)
         arrived, first = np.unique(goals[there.ok], return_index=True)
         solution.take(there.select(np.flatnonzero(there.ok)[first]), arrived)
     return solution

@@ -88,7 +88,7 @@ def carries_home(mechanism: Mechanism, mode: AssemblyMode) -> bool:
 def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:
     """Bring turning joints of (n, n_passive) [m or rad] within half a turn of home, or within their limits.
 
-    A full turn is the same pose.
+    A full turn is the same pose, unless a joint follows in another proportion.
     """
     turn = 2 * np.pi
     turns = np.round((passive - mode.passive) / turn)
@@ -100,7 +100,7 @@ def wrap_turns(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) ->
     lowered = near_home - turn * np.ceil((near_home - high) / turn)
     inside = np.where((near_home < low) & (raised <= high), raised, near_home)
     inside = np.where((near_home > high) & (lowered >= low), lowered, inside)
-    return np.where(mechanism.is_metre_column, passive, inside)
+    return np.where(mechanism.passive_repeats, inside, passive)
 
 
 def are_within_limits(mechanism: Mechanism, passive: FloatArray) -> BoolArray:
@@ -162,9 +162,11 @@ def _joint_beyond_limits(mechanism: Mechanism, passive: FloatArray) -> str:
     worst = int(np.argmax(excess))
     dimension: Dimension = "length" if mechanism.is_metre_column[worst] else "angle"
     unit = DISPLAY_UNIT[dimension]
-    value, low, high = (in_unit(float(x[worst]), unit) for x in (passive, mechanism.lower, mechanism.upper))
+    value, far, low, high = (
+        in_unit(float(x[worst]), unit) for x in (passive, excess, mechanism.lower, mechanism.upper)
+    )
     return (
-        f"passive {joints_named(mechanism.passive[worst])} at {value:.4g} {unit}, beyond its limits"
+        f"passive {joints_named(mechanism.passive[worst])} at {value:.4g} {unit}, {far:.3g} {unit} beyond its limits"
         f" ({low:.4g} to {high:.4g} {unit})"
     )
 

@@ -305,6 +305,22 @@ class Mechanism(ReadOnlyArrays):
         return ~self._slides(self.actuated)
 
     @cached_property
+    def actuated_repeats(self) -> BoolArray:
+        """Mask of the actuated joints that are in the same pose a whole turn later, (n_actuated,)."""
+        return self._repeats(self.select_actuated[:, : len(self.actuated)])
+
+    @cached_property
+    def passive_repeats(self) -> BoolArray:
+        """Mask of the passive joints that are in the same pose a whole turn later, (n_passive,)."""
+        return self._repeats(self.select_passive)
+
+    def _repeats(self, select: FloatArray) -> BoolArray:
+        """Where all joints that follow, by `select` (n_joints, k), turn, and by whole turns, (k,)."""
+        turns = np.array([self.dimensions.get(name) != "length" for name in self.origin_names])[:, None]
+        whole: BoolArray = turns & (select == np.round(select))
+        return np.all(whole | (select == 0.0), axis=0)
+
+    @cached_property
     def joint_scale(self) -> FloatArray:
         """Scale of each actuated joint: 1 [rad], or the characteristic length [m], (n_actuated,)."""
         return self.driven_scale[: len(self.actuated)]

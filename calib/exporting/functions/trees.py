@@ -199,7 +199,7 @@ def _limits(mechanism: Mechanism) -> list[tuple[int, bool, float, float]]:
     """Limits of passive joints, widened by the allowed margin; a whole turn is no limit."""
     limits = []
     for k, (low, high) in enumerate(zip(mechanism.lower.tolist(), mechanism.upper.tolist(), strict=True)):
-        turns = not bool(mechanism.is_metre_column[k])
+        turns = bool(mechanism.passive_repeats[k])
         if (turns and high - low < _LARGEST_TURN) or (not turns and np.isfinite([low, high]).any()):
             limits.append((k, turns, low - LIMIT_MARGIN, high + LIMIT_MARGIN))
     return limits

@@ -128,9 +128,7 @@ class NominalCell:
     def _with_full_turns(self, q: FloatArray, before: FloatArray, says: Configuration | None) -> FloatArray:
         """The same pose with whole turns of joints added, in the stated ranges and near the pose before."""
         lower, upper, turned = self._lower, self._upper, q[: len(before)].copy()
-        for j, name in enumerate(self.robot.joint_names):
-            if self.robot.mechanism.dimensions[name] != "angle":
-                continue
+        for j in np.flatnonzero(self.robot.mechanism.actuated_repeats).tolist():
             low, high = says.ranges.get(j, (-np.inf, np.inf)) if says else (-np.inf, np.inf)
             turns = [turned[j] + 2 * np.pi * k for k in (-1, 0, 1)]
             turns = [value for value in turns if lower[j] - _ALIKE <= value <= upper[j] + _ALIKE] or [turned[j]]

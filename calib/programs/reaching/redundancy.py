@@ -55,10 +55,7 @@ _ROUNDING = 1e-12  # rounding of a step: a smaller component crosses no limit
 def without_full_turns(reach: Reach, at: GoalConfigurations, near: FloatArray) -> GoalConfigurations:
     """Subtract whole turns of joints where this brings them nearer to `near`, (n, n_actuated), within limits."""
     mechanism, actuated = reach.mechanism, at.actuated.copy()
-    for j, name in enumerate(mechanism.actuated):
-        column = mechanism.select_actuated[:, j]
-        if mechanism.dimensions[name] == "length" or np.count_nonzero(column) != 1:
-            continue  # other joints mimic this joint, so that a whole turn is another pose
+    for j in np.flatnonzero(mechanism.actuated_repeats).tolist():
         turns = 2 * np.pi * np.round((actuated[:, j] - near[:, j]) / (2 * np.pi))
         inside = (actuated[:, j] - turns >= reach.lower[j]) & (actuated[:, j] - turns <= reach.upper[j])
         actuated[inside, j] -= turns[inside]

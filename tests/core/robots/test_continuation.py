@@ -13,6 +13,7 @@ from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
 from tests.small_robots import edited_five_bar
+from tests.urdf_trees import urdf_of
 
 ANGLES = np.array([unit == "rad" for unit in table1().units])
 
@@ -111,3 +112,32 @@ def test_goals_are_reached_through_passive_joints_without_limits(five_bar, tmp_p
     solution = solve(robot, Goals(positions))
     assert solution.ok.all()
     assert np.max(np.abs(robot.positions(solution.q)[:, 0] - positions)) < 1e-9
+
+
+def test_every_pose_of_a_3_rpr_has_one_answer_whatever_else_is_solved_with_it(tmp_path):
+    """Of a 3-RPR with a platform unlike its base, two solutions can have one sign."""
+    base, platform = np.array([[0, 0], [0.1591, 0], [0, 0.1]]), np.array([[0, 0], [0.1704, 0], [0.1323, 0.1610]])
+    axis, slide = '<axis xyz="0 0 1"/>', '<axis xyz="1 0 0"/>'
+    turn, place = -0.6, np.array([0.1, 0.1])
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    joints, home = [("wrist", "continuous", "end_0", "platform", axis)], {}
+    for k in range(3):
+        x, y = base[k]
+        joints.append((f"turn_{k}", "continuous", "ground", f"leg_{k}", f'<origin xyz="{x} {y} 0"/>' + axis))
+        joints.append((f"slide_{k}", "prismatic", f"leg_{k}", f"end_{k}", slide))
+        x, y = platform[k]
+        joints.append((f"pin_{k}", "fixed", "platform", f"corner_{k}", f'<origin xyz="{x} {y} 0"/>'))
+        way = place + rotation @ platform[k] - base[k]
+        home |= {f"slide_{k}": float(np.linalg.norm(way)), f"turn_{k}": float(np.arctan2(way[1], way[0]))}
+    home["wrist"] = turn - home["turn_0"]
+    urdf = urdf_of(*joints, links=["ground"]).replace('lower="-9" upper="9"', 'lower="0.05" upper="0.4"')
+    (tmp_path / "rpr.urdf").write_text(urdf)
+    (tmp_path / "rpr.yaml").write_text(
+        "urdf: rpr.urdf\nname_mot: [slide_0, slide_1, slide_2]\nclosed_loop: [[corner_1, end_1], [corner_2, end_2]]\n"
+        f"type: [3d, 3d]\nclosed_loop_axes: [[x, y], [x, y]]\nhome: {home}\nbase: {{frame: ground}}\n"
+        "targets: {tool: {frame: platform}}\nparametrisation: [{origin: wrist, components: [x], sigma: 1 mm}]\n"
+    )
+    robot = calib.load(tmp_path / "rpr.yaml")
+    q = robot.sample(100, seed=1)
+    alone = [robot.close(each[None]).passive[0] for each in q]
+    assert np.allclose(robot.close(q).passive, alone, atol=1e-9)  # NaN where a pose does not close

@@ -15,6 +15,7 @@ from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from tests.project import EXAMPLES
 from tests.small_robots import edited_five_bar, write_pose_loop
+from tests.urdf_trees import urdf_of
 
 ANGLES = np.array([unit == "rad" for unit in table1().units])
 
@@ -97,6 +98,26 @@ def test_a_five_bar_about_another_axis_keeps_the_assembly_mode_of_its_home(tmp_p
     assert np.max(np.abs(robot.positions(q)[:, 0, :2] - expected)) < 1e-12
 
 
+def test_a_passive_joint_that_another_follows_at_half_its_angle_is_not_taken_back_by_a_whole_turn(tmp_path):
+    z = '<axis xyz="0 0 1"/>'
+    half = '<mimic joint="leader" multiplier="-0.5"/>'
+    joints = (
+        ("slide", "prismatic", "ground", "slider", '<axis xyz="0 1 0"/>'),
+        ("leader", "continuous", "ground", "disc", z),
+        ("follower", "continuous", "disc", "arm", z + half),
+        ("end", "fixed", "arm", "tip", '<origin xyz="1 0 0"/>'),
+    )
+    (tmp_path / "half.urdf").write_text(urdf_of(*joints))
+    (tmp_path / "half.yaml").write_text(
+        "urdf: half.urdf\nname_mot: [slide]\nclosed_loop: [[slider, tip]]\ntype: [3d]\nclosed_loop_axes: [[y]]\n"
+        "home: {slide: -0.98544973, leader: -2.8}\nbase: {frame: ground}\ntargets: {tip: {frame: tip}}\n"
+        "parametrisation: [{origin: end, components: [x], sigma: 1 mm}]\n"
+    )
+    slide = np.linspace(-0.99, 0.99, 40)
+    tips = calib.load(tmp_path / "half.yaml").positions(slide[:, None])[:, 0]
+    assert np.allclose(tips[:, :2], np.column_stack([np.sqrt(1 - slide**2), slide]), atol=1e-11)
+
+
 def test_the_singular_value_is_that_of_the_angle_between_the_distal_links(tmp_path):
     robot = five_bar(tmp_path, 1)
     # the elbows move apart until the distal links are almost in one line, the loop's singular pose
@@ -173,8 +194,11 @@ def test_a_pose_beyond_a_passive_limit_names_the_joint_and_its_angle_in_the_clos
     with pytest.raises(calib.UnreachablePoseError) as error:
         medrue.assemble(q)
     match = re.search(
-        r"only with passive joint (\w+) at (\S+) deg, beyond its limits \(-149 to -17.19 deg\)", str(error.value)
+        r"only with passive joint (\w+) at (\S+) deg, (\S+) deg beyond its limits \(-149 to -17.19 deg\)",
+        str(error.value),
     )
+    angle, beyond = float(match[2]), float(match[3])
+    assert beyond == pytest.approx(max(-149 - angle, angle + 17.19), rel=5e-3, abs=0.02)  # printed with three digits
     expected = np.degrees(forward(q[None], table1().nominal).passive[0, PASSIVE_JOINTS.index(match[1])])
     assert (float(match[2]) - expected) % 360 == pytest.approx(0, abs=0.05)  # printed with four digits
 

@@ -155,6 +155,15 @@ def test_a_mimic_of_a_mimic_multiplies_through_and_a_ring_is_an_error(tmp_path):
         plain(tmp_path, *chain)
 
 
+def test_a_whole_turn_is_the_same_pose_unless_a_joint_follows_in_another_proportion(tmp_path):
+    chain = [("motor", "continuous", "w", "1", '<axis xyz="0 0 1"/>')]
+    for proportion, kind, same in ((2, "continuous", True), (0.5, "continuous", False), (1, "prismatic", False)):
+        follower = ("follower", kind, "1", "2", f'<axis xyz="0 1 0"/><mimic joint="motor" multiplier="{proportion}"/>')
+        robot = plain(tmp_path, *chain, follower, ("end", "fixed", "2", "3", '<origin xyz="1 0 0"/>'))
+        here, later = robot.forward(np.array([[0.3], [0.3 + 2 * np.pi]]), "3")
+        assert np.allclose(here, later) == same == robot.mechanism.actuated_repeats[0]
+
+
 def test_a_mimic_joint_that_is_named_as_motor_is_its_own(tmp_path):
     joints = ("a", "prismatic", "w", "1"), ("b", "prismatic", "1", "2", '<mimic joint="a" multiplier="2"/>')
     robot = described(tmp_path, joints, "[b, a]", "{frame: w}", "2", "{origin: all, components: [x], sigma: 1 mm}")

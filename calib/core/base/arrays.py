@@ -74,9 +74,15 @@ def _names_of_fields(of: type) -> tuple[str, ...]:
 
 
 def numbers_in(given: ArrayLike, what: str) -> FloatArray:
-    """Return numbers in the given shape, (..., n); anything else, such as text, is an `InputError` that says what."""
+    """Return numbers in the given shape, (..., n), NaN where they are masked.
+
+    Anything else, such as text or complex numbers, is an `InputError` that says what.
+    """
     try:
-        return np.asarray(given, dtype=float)
+        array = np.ma.asarray(given) if isinstance(given, np.ma.MaskedArray) else np.asarray(given)
+        if np.iscomplexobj(array):
+            raise TypeError("numbers with an imaginary part")
+        return np.asarray(np.ma.filled(array.astype(float), np.nan))
     except (TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise

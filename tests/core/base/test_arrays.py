@@ -40,3 +40,14 @@ def test_rows_have_their_names_and_parameters_their_numbers_after_pickling():
     again = pickle.loads(pickle.dumps(parameters))
     assert again == parameters
     assert not again.sigma_si.flags.writeable
+
+
+def test_masked_numbers_are_not_known_and_complex_ones_are_refused():
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    hidden = np.ma.masked_array(np.zeros((2, 6)), mask=np.eye(2, 6, dtype=bool))
+    with pytest.raises(calib.DataError, match="'joint_1' is not finite"):
+        robot.positions(hidden)
+    read = np.ma.masked_array(np.ones((2, 3)), mask=[[True] * 3, [False] * 3])
+    assert calib.as_measurements(robot, np.zeros((2, 6)), read).readings["reflector"].visits.tolist() == [1]
+    with pytest.raises(calib.InputError, match="expected numbers"):
+        robot.positions(np.zeros(6) + 1j)

@@ -82,11 +82,12 @@ def tolerance_of(fit: Fit) -> Tolerance | None:
 def worst(fit: Fit) -> str:
     """Return the pose with the largest error after calibration, and its place."""
     group, errors = judging_errors(fit)
-    if not errors.main_part.is_position:
-        return _worst_reading(errors)
     used = VALIDATION if group.startswith(VALIDATION) else IDENTIFICATION
     table = average_poses(fitted_set(fit, used, errors).table())
-    row = int(np.nanargmax(np.linalg.norm(table.error("after"), axis=1)))
+    length = np.linalg.norm(table.error("after"), axis=1)
+    if not errors.main_part.is_position or not np.any(np.isfinite(length)):  # no points were read
+        return _worst_reading(errors)
+    row = int(np.nanargmax(length))
     shown = millimetres(table.measured[row])
     place = ", ".join(f"{axis} {_whole(value)}" for axis, value in zip("xyz", shown, strict=True))
     point = f", point {table.targets[row]}" if len(set(table.targets)) > 1 else ""

@@ -19,7 +19,7 @@ from calib.core.base.errors import NotIdentifiableError
 from calib.core.instruments.camera import LEAST_POINTS
 from calib.core.numerics.chances import FALSE_ALARM
 from calib.core.numerics.losses import StudentisedErrors, studentised
-from calib.photographs.opencv import opencv
+from calib.photographs.opencv import one_thread, opencv
 from calib.photographs.scene import BoardScene, HandEyePlacement, residuals, rows
 
 LEAST_IMAGES = 3
@@ -64,9 +64,10 @@ def free_boards(scene: BoardScene, intrinsics: FloatArray, free: tuple[int, ...]
     body, pixels = ([part[scene.image == i].astype(np.float32) for i in images] for part in (scene.body, scene.pixels))
     known = (scene.size, _matrix(intrinsics), intrinsics[4:].copy())
     try:
-        _, matrix, lens, turns, places, stds, *_ = cv2.calibrateCameraExtended(
-            body, pixels, *known, flags=flags, criteria=_TO_THE_END
-        )
+        with one_thread():
+            _, matrix, lens, turns, places, stds, *_ = cv2.calibrateCameraExtended(
+                body, pixels, *known, flags=flags, criteria=_TO_THE_END
+            )
     except cv2.error:  # points of an image lie in a line
         return None
     poses = np.array([_pose(*pose) for pose in zip(turns, places, strict=True)])

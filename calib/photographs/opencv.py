@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,18 @@ def opencv() -> Any:
             " 'opencv-python-headless>=4.14'"
         )
     return cv2
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute in one thread of OpenCV: several add in another order each time, and so round differently."""
+    cv2 = opencv()
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
 
 
 def dictionary(name: str) -> Any:

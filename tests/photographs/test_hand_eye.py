@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 from calib.core.base.contributions import contributions_to
 from calib.core.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
-from calib.photographs.camera_alone import intrinsics_at_first, point_errors
+from calib.photographs.camera_alone import free_boards, intrinsics_at_first, point_errors
 from calib.photographs.estimation import plain, rms, solve, weigh_images
 from calib.photographs.hand_eye import calibrate
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.mistakes import other_readings
+from calib.photographs.opencv import opencv
 from calib.photographs.robot_errors import ErrorSizes
 from calib.photographs.scene import POSES, HandEyePlacement, HandEyeUnknowns, plane_errors_on_board, residuals, rows
 from tests.photographs.camera_scenes import BOARD, CAMERA, INTRINSICS, pixels_from, pose, scene
@@ -381,3 +382,15 @@ def test_a_place_that_is_known_to_a_twentieth_of_the_distance_is_no_pass(good):
         assert judge(wide).grade == grade
     assert any("is known to only" in reason for reason in judge(wide).reasons)
     assert 0.4 < good.distance < 0.7  # where the set-up has the board
+
+
+def test_the_free_boards_are_the_same_to_the_last_bit_however_many_threads_opencv_has():
+    cv2 = opencv()
+    threads, images = cv2.getNumThreads(), scene(40, "tool", seed=3, noise=0.3)
+    lenses = []
+    for count in (1, 3, 4):
+        cv2.setNumThreads(count)
+        lenses.append(free_boards(images, INTRINSICS, (0, 1, 2, 3, 4, 5)).placed.intrinsics)
+        assert cv2.getNumThreads() == count
+    cv2.setNumThreads(threads)
+    np.testing.assert_array_equal(lenses[1:], [lenses[0]] * 2)

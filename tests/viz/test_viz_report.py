@@ -17,6 +17,7 @@ from calib.core.base.files import image_address
 from calib.core.judging.error_budget import CauseShare
 from calib.core.judging.findings import joint_budget
 from calib.core.judging.next_step import next_step
+from tests.project import EXAMPLES
 from tests.six_axis_arm import FREE, YAML, joints, write_six_axis
 from tests.small_robots import ARM_YAML, write_arm
 from tests.viz.viz_examples import (
@@ -45,7 +46,7 @@ from viz.report_page import (
     significant,
     unbroken,
 )
-from viz.report_tables import worst_joint, worst_joints
+from viz.report_tables import worst, worst_joint, worst_joints
 from viz.result_charts import joint_shares, parameters, waterfall
 from viz.scene import joints_of, scene_of_fit
 
@@ -588,3 +589,11 @@ def test_a_fit_made_in_python_has_no_command_with_placeholders(fit):
     assert f"Next: {said} Robot and errors" in words_of(undrawn(fit))
     stored = judgement_of_result({"grade": "PASS", "reasons": []}, str(step))
     assert stored.following == said  # in the viewer of a result folder
+
+
+def test_the_worst_pose_is_named_where_positions_show_no_points(monkeypatch):
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    monkeypatch.setattr(type(robot.instruments[0]), "points", lambda self, values: None)
+    fit = calib.fit(robot, EXAMPLES / "arm_simulated.csv")
+    off = np.linalg.norm(fit.identification.after["reflector"], axis=1)
+    assert worst(fit) == f"pose {fit.identification.data.names[np.argmax(off)]}"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields
-from functools import cache
+from functools import cache, cached_property, wraps
 from typing import Any, Self
 
 import numpy as np
@@ -73,9 +74,15 @@ def _names_of_fields(of: type) -> tuple[str, ...]:
 
 
 def numbers_in(given: ArrayLike, what: str) -> FloatArray:
-    """Return numbers in the given shape, (..., n); anything else, such as text, is an `InputError` that says what."""
+    """Return numbers in the given shape, (..., n), NaN where they are masked.
+
+    Anything else, such as text or complex numbers, is an `InputError` that says what.
+    """
     try:
-        return np.asarray(given, dtype=float)
+        array = np.ma.asarray(given) if isinstance(given, np.ma.MaskedArray) else np.asarray(given)
+        if np.iscomplexobj(array):
+            raise TypeError("numbers with an imaginary part")
+        return np.asarray(np.ma.filled(array.astype(float), np.nan))
     except (TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -100,17 +107,37 @@ class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):
             require_known(key, self._names, "no row")
         return np.asarray(self)[self._names.index(key) if isinstance(key, str) else key]
 
+    def __reduce__(self) -> tuple[Callable[..., NamedRows], tuple[FloatArray, tuple[str, ...]]]:
+        return NamedRows.from_array, (np.asarray(self), self._names)
+
     def __repr__(self) -> str:
         return repr(np.asarray(self))
+
+
+def _held(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Make the array that a function of one object returns read-only."""
+
+    @wraps(function)
+    def answer(thing: Any) -> Any:
+        value = function(thing)
+        if isinstance(value, np.ndarray):
+            hold(value)
+        return value
+
+    return answer
 
 
 class ReadOnlyArrays:
     """Base of frozen dataclasses: arrays, tuples and dictionaries of them become read-only copies.
 
-    They are read-only after unpickling, too. `repr` shows the shapes of arrays, not their numbers.
+    Arrays of cached properties are read-only, too, and all of them after unpickling. `repr` shows the shapes of arrays,
+    not their numbers.
     """
 
     def __init_subclass__(cls) -> None:
+        for value in vars(cls).values():
+            if isinstance(value, cached_property):
+                value.func = _held(value.func)
         if cls.__repr__ is ReadOnlyArrays.__repr__:
             cls.__repr__ = ReadOnlyArrays.__repr__  # type: ignore[method-assign]  # the class has its own, which dataclass keeps
 
@@ -135,8 +162,7 @@ class ReadOnlyArrays:
         return changed
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        ReadOnlyArrays.__post_init__(self)  # unpickled arrays can be written to
+        self.__dict__.update({name: _read_only_copy(value) for name, value in state.items()})  # unpickled: writable
 
 
 class ReadAsArray(np.lib.mixins.NDArrayOperatorsMixin, ABC):

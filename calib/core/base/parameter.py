@@ -82,6 +82,9 @@ class Parameters(tuple[Parameter, ...]):
     def __getitem__(self, which: SupportsIndex | str | slice) -> Parameter | tuple[Parameter, ...]:
         return super().__getitem__(index_of(self, which) if isinstance(which, str) else which)
 
+    def __reduce__(self) -> tuple[type[Parameters], tuple[tuple[Parameter, ...]]]:
+        return type(self), (tuple(self),)  # without cached arrays, which would become writable
+
     def __contains__(self, which: object) -> bool:
         return super().__contains__(which) or any(parameter.name == which for parameter in self)
 

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.core.base.arrays import FloatArray
+from calib.core.base.arrays import FloatArray, numbers_in
 from calib.core.base.errors import DataError, InputError, require_known
 from calib.core.base.letters import unseen
 from calib.core.data.measurement_files import join_measurements, read_measurements, sources
@@ -93,7 +93,7 @@ def as_measurements(
         elif instrument.touches:
             readings_by_name[name] = _words(instrument, poses, np.asarray(given))
         else:
-            readings_by_name[name] = _readings(instrument, poses, np.asarray(given, dtype=float))
+            readings_by_name[name] = _readings(instrument, poses, numbers_in(given, f"readings of '{name}'"))
     data = measurements(poses, readings_by_name)
     check_repeats(data, robot)
     return data
@@ -119,7 +119,7 @@ def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measuremen
         DataError: There is not one deviation for each row, or one is not positive.
         InputError: Nothing measures positions, or other readings state no noise.
     """
-    values = np.asarray(sigma, dtype=float)
+    values = numbers_in(sigma, "sigma")
     if values.shape not in ((len(data),), (len(data), 3)):
         raise DataError(f"sigma of shape {values.shape}: expected ({len(data)},) or ({len(data)}, 3), one for each row")
     if not np.all(np.isfinite(values) & (values > 0)):
@@ -159,7 +159,7 @@ def _positions_by_instrument(robot: Robot, n: int, given: ArrayLike) -> dict[str
     if not all(instrument.reads_positions for instrument in robot.instruments):
         names = ", ".join(instrument.name for instrument in robot.instruments)
         raise DataError(f"readings: the robot has several kinds of instruments; give them by name ({names})")
-    values, shape = np.asarray(given, dtype=float), (n, len(robot.instruments), 3)
+    values, shape = numbers_in(given, "positions"), (n, len(robot.instruments), 3)
     if values.shape == (n, 3) and shape[1] == 1:
         values = values[:, None]
     if values.shape != shape:

@@ -82,7 +82,8 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
     model, units = KindModel(fit, kinds), np.where(stated, 1.0, fit.scales)
     read = model.informative_rows
     read = read[np.any(fit.weighted_rows.jacobian[read] != 0.0, axis=1)]
-    rows = model.rows(read, units, stated, bounded_weights(fit))
+    seen = np.isin(np.arange(len(groups)), fit.whitening.layout.group[read])  # rows say nothing of other groups
+    rows = model.rows(read, units, stated | ~seen, bounded_weights(fit))
     mixed = MixedModel.from_rows(rows, _SHORTEST)
     if not np.any(mixed.spread > 0.0):  # joints move none of the rows
         return UnexplainedErrors(found)
@@ -90,7 +91,8 @@ def unexplained_errors(fit: SolvedFit, *, sized: bool) -> UnexplainedErrors:
     delta, noise = scatter_given_noise(at), found
     whole = np.all(fit.weights == 1.0)  # else residuals are smaller than noise
     if whole and delta > 0.0 and delta >= np.exp(at.logs[-1]):  # noise of own shape looks like errors of joints
-        noise = np.minimum(found, noise_given_scatter(at, delta) * units * [group.typical for group in groups])
+        least = noise_given_scatter(at, delta) * units * [group.typical for group in groups]
+        noise = np.where(seen, np.minimum(found, least), found)
     return UnexplainedErrors(noise, delta, _shown(model, fit.robot, at))
 
 

@@ -41,6 +41,7 @@ LEVEL = FALSE_ALARM / 2
 """Level of each of two tests."""
 _OUTLIERS = 0.05  # largest part of the readings that is left out
 _PARALLEL = 1.0 - 1e-6  # columns with a larger cosine count as equal
+_SCALE_ALONE = 1e4  # t limit beyond which the normal part of Student's t is below 1e-8 of the noncentrality
 _LARGEST = 0.2  # a change that shows only above this size is beyond the linear model [m or rad]
 _JOINT_STEP = 1e-3  # unit of changes of joint zeros [rad, or characteristic lengths]
 
@@ -337,6 +338,8 @@ def without_outliers(system: System) -> tuple[System, list[int]]:
 def _noncentrality(level: float, freedom: float) -> float:
     """Noncentrality at which Student's t exceeds its two-sided level with the chance `POWER`."""
     limit = -float(scipy.special.stdtrit(freedom, level / 2))
+    if limit > _SCALE_ALONE:
+        return limit * float(np.sqrt(scipy.special.chdtri(freedom, 1.0 - POWER) / freedom))
     most = 2.0 * limit + 10.0  # sqrt(chi2 / m) is below 1.65 with the chance POWER for one degree of freedom or more
     return float(scipy.optimize.brentq(lambda d: 1.0 - scipy.special.nctdtr(freedom, d, limit) - POWER, 0.0, most))
 

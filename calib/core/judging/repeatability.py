@@ -201,11 +201,13 @@ def _mean_and_scatter(accuracy: str, scatter: str, poses: str, off: FloatArray) 
 
 def _distances(errors: ErrorSet, several: list[PoseScatter]) -> Iterator[IsoFigure]:
     """AD and RD of the two poses of one instrument that are furthest apart, cycle by cycle."""
-    middles = [_mean_prediction(errors, scatter) for scatter in several]
+    predicted = [
+        (np.mean(points + scatter.after, axis=0), scatter)
+        for scatter in several
+        if (points := _points(errors, scatter)) is not None
+    ]
     pairs = [
-        (middles[b] - middles[a], start, end)
-        for (a, start), (b, end) in combinations(enumerate(several), 2)
-        if start.instrument is end.instrument
+        (b - a, start, end) for (a, start), (b, end) in combinations(predicted, 2) if start.instrument is end.instrument
     ]
     apart, start, end = max(pairs, key=lambda pair: np.linalg.norm(pair[0]), default=(np.zeros(3), None, None))
     if start is not None and end is not None and np.any(apart):
@@ -214,12 +216,9 @@ def _distances(errors: ErrorSet, several: list[PoseScatter]) -> Iterator[IsoFigu
         yield from _mean_and_scatter("AD", "RD", f"{start.pose} to {end.pose}", off)
 
 
-def _mean_prediction(errors: ErrorSet, scatter: PoseScatter) -> FloatArray:
-    name = scatter.instrument.name
-    read = scatter.instrument.points(errors.data.readings[name].values[scatter.readings])
-    if read is None:
-        raise TypeError(f"'{name}' reads positions, but shows no points")
-    return np.asarray((read + scatter.after).mean(axis=0))
+def _points(errors: ErrorSet, scatter: PoseScatter) -> FloatArray | None:
+    """Positions that were read, (n, 3) [m]; None of a kind that does not show them."""
+    return scatter.instrument.points(errors.data.readings[scatter.instrument.name].values[scatter.readings])
 
 
 def _directions(errors: ErrorSet, several: list[PoseScatter]) -> Iterator[IsoFigure]:

@@ -233,14 +233,17 @@ def scatter_given_noise(at: SolvedModel) -> float:
 
 
 def noise_given_scatter(at: SolvedModel, scatter: float) -> FloatArray:
-    """Return the likeliest noise of all groups, stated or not, given sizes of families and a scatter, (n_groups,)."""
-    noise = at.model.sizes(at.logs)[1]
-    every = replace(at.model.rows, has_stated_noise=np.zeros(len(noise), dtype=bool))
-    model, n = replace(at.model, rows=every), at.model.n_families
-    logs = np.concatenate([at.logs[:n], np.log(noise), [np.log(scatter)]])
+    """Return the likeliest noise of all groups, stated or not, given sizes of families and a scatter, (n_groups,).
+
+    The noise of groups without rows stays.
+    """
+    noise = at.model.sizes(at.logs)[1].copy()
+    seen = np.isin(np.arange(len(noise)), at.model.rows.group)
+    model, n = replace(at.model, rows=replace(at.model.rows, has_stated_noise=~seen)), at.model.n_families
+    logs = np.concatenate([at.logs[:n], np.log(noise[seen]), [np.log(scatter)]])
     stays = (np.arange(len(logs)) < n) | (np.arange(len(logs)) == len(logs) - 1)
-    found = _descend(model.solve(logs), _Bounds.from_model(model), stays, _FINE_GAIN)
-    return np.asarray(np.exp(found.logs[n:-1]))
+    noise[seen] = np.exp(_descend(model.solve(logs), _Bounds.from_model(model), stays, _FINE_GAIN).logs[n:-1])
+    return noise
 
 
 def _with_all_components(at: SolvedModel) -> SolvedModel:

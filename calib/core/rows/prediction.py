@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from calib.core.base.arrays import BoolArray, FloatArray, IntArray, ReadAsArray, ReadOnlyArrays, evenly_spread, hold
 from calib.core.base.contributions import Contributions
+from calib.core.base.errors import InputError
 from calib.core.base.memoize import memoize
 from calib.core.base.units import millimetres, quantity_text
 from calib.core.base.words import count_noun, listing
@@ -118,7 +119,9 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
 
     @property
     def worst(self) -> int:
-        """The pose with the largest `reported_distance`."""
+        """The pose with the largest `reported_distance`; without poses, an `InputError`."""
+        if not len(self):
+            raise InputError("no poses, so none is the worst; predict at one pose at least")
         return int(np.argmax(np.max(self.reported_distance, axis=1)))
 
     def remark(self) -> str:
@@ -126,7 +129,7 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         frame = f"; {self.frame}" if self.frame else ""
         if self.measured is not None and self.measured.summary()["mean"] > _DIFFERS * self.summary()["mean"]:
             frame += f" (in the measurement frame to {self.measured.summary()['mean']:.2g} mm on average)"
-        mean = np.mean(self.distance, axis=0)
+        mean = np.mean(self.distance, axis=0) if len(self) else np.full(self.distance.shape[1], np.nan)
         texts = [f"{name} (known to {quantity_text(mean[k], 'mm', '.2g')})" for name, k in self.left_out.items()]
         return frame + (f"; not counted: {listing(texts)}, seen only from unknown places" if texts else "")
 
@@ -137,8 +140,8 @@ class PositionUncertainty(ReadAsArray, ReadOnlyArrays):
         return {**self.summary(), "frame": frame, **other, "left_out": list(self.left_out)}
 
     def summary(self) -> dict[str, float]:
-        """Return mean, root mean square and largest `reported_distance` over the poses [mm]."""
-        distance = millimetres(self.reported_distance)
+        """Return mean, root mean square and largest `reported_distance` over the poses [mm]; NaN without poses."""
+        distance = millimetres(self.reported_distance if len(self) else np.full((1, 1), np.nan))
         return {
             "mean": float(np.mean(distance)),
             "rms": float(np.sqrt(np.mean(distance**2))),

@@ -44,15 +44,19 @@ def register(robot: Robot, data: Measurements, *, rough_beyond: float = np.inf) 
         UnreachablePoseError: A pose cannot be assembled.
         DataError: Measurements that are not finite.
     """
+    by_points: set[str] = set()
     for setup in range(max(len(robot.description.setups), 1)):
         for seen in _seen_targets(robot, data, setup):
-            robot = _place(robot, data, seen, rough_beyond)
+            values = _places_by_points(robot, data, seen, rough_beyond)
+            by_points |= values.keys()
+            robot = _with_values(robot, values)
+            robot = _with_values(robot, _orientations(robot, data, seen))
     placed: list[str] = []
     for instrument in robot.instruments:
         if instrument.name in data.readings:
             placed.append(instrument.name)
             if isinstance(instrument, FrameInstrument):
-                robot = _guess(robot, data, instrument, placed)
+                robot = _guess(robot, data, instrument, placed, by_points)
             elif isinstance(instrument, JointInstrument):
                 robot = _guess_joint_numbers(robot, data, instrument)
     return robot
@@ -124,7 +128,8 @@ def _seen_targets(robot: Robot, data: Measurements, setup: int) -> list[_SeenTar
     ]
 
 
-def _place(robot: Robot, data: Measurements, seen: _SeenTargets, rough_beyond: float) -> Robot:
+def _places_by_points(robot: Robot, data: Measurements, seen: _SeenTargets, rough_beyond: float) -> dict[str, float]:
+    """Values [m or rad] of the unknown measurement frame and targets, by the measured points."""
     frame_known = robot.description.base.pose == "known"
     placement = _registration(robot, data, seen, frame_known=frame_known, rough_beyond=rough_beyond)
     values: dict[str, float] = {}
@@ -133,8 +138,7 @@ def _place(robot: Robot, data: Measurements, seen: _SeenTargets, rough_beyond: f
             values |= _values_at(robot, seen.origins[target], pin.SE3(np.eye(3), point), LENGTH_COMPONENTS)
     if not frame_known:
         values |= _values_at(robot, seen.base, placement.T_base_measurement, COMPONENTS, reversed_frame=True)
-    robot = _with_values(robot, values)
-    return _with_values(robot, _orientations(robot, data, seen))
+    return values
 
 
 def _values_at(
@@ -177,8 +181,10 @@ def _registration(
     return place(moving, ones, T_base_measurement, frame_known=frame_known, rough_beyond=rough_beyond)
 
 
-def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed: list[str]) -> Robot:
-    """Return the robot with the first guess of an instrument.
+def _guess(
+    robot: Robot, data: Measurements, instrument: FrameInstrument, placed: list[str], by_points: set[str]
+) -> Robot:
+    """Return the robot with the first guess of an instrument; what measured points placed (`by_points`) stays.
 
     Of several guesses, the best for the readings of this instrument and of those placed before is taken: two cameras
     may look at one body.
@@ -190,7 +196,7 @@ def _guess(robot: Robot, data: Measurements, instrument: FrameInstrument, placed
     mechanism, pairs = robot.mechanism, robot.pairs[instrument.name]
     places = {name: mechanism.placement(mechanism.origin(name)) for pair in names for name in pair}
     known = {name: pose.homogeneous for name, pose in places.items()}
-    unknown = {name: _open_components(robot, name) for name in places}
+    unknown = {name: _open_components(robot, name, by_points) for name in places}
     links = np.tile(np.eye(4), (len(readings), 1, 1))
     for number, pair in enumerate(pairs):
         chosen = np.flatnonzero(readings.pairs == number)
@@ -221,10 +227,10 @@ def _guess_joint_numbers(robot: Robot, data: Measurements, instrument: JointInst
     return _with_values(robot, {p.name: float(value) for p, value in zip(instrument.unknowns, first, strict=True)})
 
 
-def _open_components(robot: Robot, place: str) -> tuple[Component, ...]:
-    """Components of a place that a fit may change."""
+def _open_components(robot: Robot, place: str, by_points: set[str]) -> tuple[Component, ...]:
+    """Components of a place that a fit may change, and that points did not place."""
     origin = robot.mechanism.origin(place)
-    free = {p.name for p, use in zip(robot.parameters, robot.is_free, strict=True) if use and p.placement}
+    free = {p.name for p, use in zip(robot.parameters, robot.is_free, strict=True) if use and p.placement} - by_points
     return tuple(component for component in COMPONENTS if f"{origin}.{component}" in free)
 
 

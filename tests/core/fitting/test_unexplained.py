@@ -235,6 +235,23 @@ def test_a_result_keeps_it_and_every_text_counts_it(robot, tmp_path, run_calib, 
     assert said in " ".join(run.out.split())
 
 
+def test_an_encoder_that_no_parameter_moves_keeps_the_noise_that_its_readings_show(tmp_path):
+    """Its rows say nothing of errors of joints; readings of the same noise then agree with the calibration."""
+    instruments = (
+        "instruments:\n  ball: {kind: position, target: reflector}\n  dial: {kind: joint_reading, joint: joint_2}\n"
+    )
+    path = copied(tmp_path, EXAMPLES / "arm.yaml", ("sigma: 0.03 mm", instruments))
+    robot, rng = calib.load(path), np.random.default_rng(1)
+    q = np.repeat(calib.sample(robot, 40, seed=5).joints, 2, axis=0)
+    exact = {"ball": robot.positions(q)[:, 0], "dial": q[:, [1]]}
+    read = {name: values + NOISE * rng.standard_normal(values.shape) for name, values in exact.items()}
+    data = calib.as_measurements(robot, q, read, [f"{k // 2}" for k in range(len(q))])
+    used, unseen = data.split(validation=0.25, seed=1)
+    fit = calib.fit(robot, used)
+    assert fit.reading_noise == pytest.approx([NOISE, NOISE], rel=0.3)  # three standard errors of 60 readings
+    assert calib.verify(fit, unseen).verdict == "agrees"
+
+
 @one_blas_thread
 def lacking(n):
     """Print error over standard deviation where the model lacks a kind of error and noise is not stated."""

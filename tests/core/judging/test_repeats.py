@@ -9,6 +9,7 @@ import calib
 from calib.core.fitting.error_sets import ErrorSet
 from calib.core.judging.reasons import Code
 from calib.core.judging.repeatability import (
+    iso_figures,
     pose_error_over_repeatability,
     repeat_table,
     repeatability,
@@ -151,3 +152,10 @@ def test_the_error_of_single_visits_is_told_beside_that_of_the_mean_of_repeats(t
     assert single == pytest.approx(0.1 * np.sqrt(3), rel=0.1)
     once = calib.fit(truth, calib.as_measurements(truth, q[::10], points[::10]))
     assert not any(line.startswith("scatter of repeats") for line in once.verdict.not_covered)
+
+
+def test_a_kind_that_shows_no_points_has_figures_without_distances(arm, monkeypatch):
+    errors = errors_of(arm, ["a", "a", "b", "b"], np.zeros((4, 3)), [[0, 0, 0], [2, 0, 0], [1, 0, 3], [7, 7, 7]])
+    monkeypatch.setattr(type(arm.instruments[0]), "points", lambda self, values: None)
+    figures, _ = iso_figures(errors, np.random.default_rng(1))
+    assert [figure.name for figure in figures] == ["AP", "RP", "AP", "RP"]

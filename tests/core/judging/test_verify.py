@@ -13,7 +13,7 @@ import calib
 from calib.core.commands.verify import command
 from calib.core.data.measurement_files import format_measurements
 from calib.core.judging.acceptance import verify, visible_changes
-from calib.core.judging.acceptance_system import System, candidates
+from calib.core.judging.acceptance_system import System, _noncentrality, candidates
 from calib.core.judging.promise import Promise
 from calib.core.judging.repeatability import CONDITIONS, conditions, iso_figures
 from calib.core.results.acceptance_text import text_report
@@ -405,3 +405,9 @@ def test_a_calibration_with_hardly_a_degree_of_freedom_promises_nothing(truth, f
                 ask(promise, data)
         else:
             ask(promise, data)
+
+
+@pytest.mark.parametrize("level", [1e-4, 1e-6])
+def test_noise_with_one_degree_of_freedom_has_a_visible_change_at_every_level(level):
+    """Its t is a ratio of normal numbers: the limit is a Cauchy quantile, and 1.645 the 90 % point of the scale."""
+    assert _noncentrality(level, 1.0) == pytest.approx(1.6448536 / np.tan(np.pi * level / 2), rel=1e-6)

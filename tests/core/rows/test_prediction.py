@@ -265,3 +265,12 @@ def _errors_of_a_fit(robot, reach, n, seed):
     read = noisy(true, q, SIGMA, 100 + seed).points(true)
     error = np.sqrt(np.mean(np.sum((fit.robot.positions(q) - read) ** 2, axis=2)))
     return error / fit.claim_at(q).rms, error / fit.verdict.claim.at_measured_poses.rms
+
+
+def test_no_poses_have_no_summary(fit):
+    nothing = fit.predict(np.zeros((0, 6)))
+    assert all(np.isnan(nothing.summary()[key]) for key in ("mean", "rms", "max"))
+    assert str(nothing.table()["mean"]) == "nan"
+    assert isinstance(nothing.remark(), str)
+    with pytest.raises(calib.InputError, match="no poses"):
+        _ = nothing.worst

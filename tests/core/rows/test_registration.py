@@ -206,3 +206,14 @@ def test_positions_and_poses_may_be_read_at_different_visits(tmp_path):
     fit = calib.fit(robot, apart)
     assert fit.converged
     assert fit.verdict.grade == "PASS"
+
+
+def test_readings_that_hardly_show_a_place_leave_it_where_points_put_it(tmp_path):
+    """Heights alone determine no place in the plane; their instrument comes first, by its name."""
+    instruments = "instruments:\n  a: {kind: height, target: reflector}\n  b: {kind: position, target: reflector}\n"
+    robot = calib.load(copied(tmp_path, EXAMPLES / "arm.yaml", ("sigma: 0.03 mm", instruments)))
+    true = robot.with_parameters({"base.x": 3.0, "base.rz": 1.0, "reflector.y": 0.004})
+    q = calib.sample(robot, 20, seed=5).joints
+    points = true.positions(q)[:, 0]
+    placed = register(robot, calib.as_measurements(robot, q, {"a": points[:, 2:], "b": points}))
+    assert placed.positions(q)[:, 0] == pytest.approx(points, abs=ROUNDING)

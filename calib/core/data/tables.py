@@ -45,6 +45,8 @@ _LARGEST_NUMBER = 1e30  # largest value in other columns: squares and sums of ma
 IN_MEMORY = "table in memory"
 """Name in messages of a table that is no file."""
 _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
+_LIKE_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
+_DECIMAL = re.compile(r"[-+]?\d*[.,]\d+", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
 _SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
 
@@ -176,13 +178,30 @@ class Table:
         )
 
     def _check_marks(self, name: str, cells: Sequence[str]) -> None:
-        """Raise `DataError` where a column has commas and points, as it is unclear which of them are decimal."""
+        """Raise `DataError` where a column has commas and points, as it is unclear which of them are decimal.
+
+        So are `1.234` if another column with a unit has decimal commas, and `1,234` if one has decimal points.
+        """
         comma = next((k for k, cell in enumerate(cells) if "," in cell and "." not in cell), None)
         point = next((k for k, cell in enumerate(cells) if "." in cell and "," not in cell), None)
         if comma is not None and point is not None:
             raise DataError(
                 f"{self.where(comma, name)}: '{cells[comma].strip():.60}', but '{cells[point].strip():.60}' in line"
                 f" {self.lines[point]}; write all decimals of a column one way"
+            )
+        doubtful = next((k for k, cell in enumerate(cells) if _LIKE_THOUSANDS.fullmatch(cell.strip())), None)
+        if doubtful is None:
+            return
+        other = "." if "," in cells[doubtful] else ","
+        columns = [column for column, unit in enumerate(self.units) if unit]
+        marked = (row[column].strip() for column in columns for row in self.rows if other in row[column])
+        decimal = next(
+            (text for text in marked if _DECIMAL.fullmatch(text) and not _LIKE_THOUSANDS.fullmatch(text)), ""
+        )
+        if decimal:
+            raise DataError(
+                f"{self.where(doubtful, name)}: '{cells[doubtful].strip()}', but another column has '{decimal:.60}';"
+                " write all decimals one way, and thousands without a mark"
             )
 
     def where(self, row: SupportsIndex, name: str = "") -> str:

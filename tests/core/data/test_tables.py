@@ -100,6 +100,17 @@ def test_commas_that_may_mean_something_else_are_errors_with_line_and_column(tab
     assert complaint(table.column, "b", "length") == f"{tmp_path / 'table.csv'}, {message}"
 
 
+@pytest.mark.parametrize("swap", [",.", ".,"])
+def test_thousands_are_told_from_decimals_by_the_other_columns(table_of, swap):
+    def table(other):
+        return table_of(f"pose;q [deg];x [mm]\n1{swap[1]}5;{other};1{swap[0]}793\n2;20;-919\n")
+
+    doubt = f"'1{swap[0]}793', but another column has '10{swap[1]}5'; write all decimals one way, and thousands without"
+    assert doubt in complaint(table(f"10{swap[1]}5").column, "x", "length")
+    for other in (f"10{swap[0]}5", "10"):
+        assert table(other).column("x", "length") == pytest.approx([0.001793, -0.919])
+
+
 @pytest.mark.parametrize(
     ("cell", "message"),
     [

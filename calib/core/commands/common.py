@@ -150,6 +150,7 @@ def shared_options(
         def run(
             *args: Any, quiet: bool, debug: bool, force: bool, json_target: str | None = None, **options: Any
         ) -> None:
+            _refuse_empty_values(click.get_current_context())
             output = Output(quiet, json_target, force)
             _tell_warnings(quiet)
             try:
@@ -180,6 +181,14 @@ def shared_options(
         return run
 
     return decorate
+
+
+def _refuse_empty_values(context: click.Context) -> None:
+    """Raise `click.BadParameter` for an empty word, such as that of a variable of the shell that is not set."""
+    for param in context.command.params:
+        value = context.params.get(param.name or "")
+        if value == "" or (isinstance(value, tuple) and "" in value):
+            raise click.BadParameter("it is empty; give it a value, or leave it out", context, param)
 
 
 def _in_one_line(error: Exception) -> OneLineError:

@@ -282,6 +282,8 @@ def read_table(
 
 def _table_of_lines(path: str, lines: Sequence[str], renamed: Mapping[str, str]) -> Table:
     above = header_line(path, lines)
+    if "\0" in "".join(lines[: above + 1]):  # as in UTF-16 without its mark, and in files that are no text
+        raise DataError(f"{path}: is not UTF-8 text; give a CSV file in UTF-8")
     comments, filled = _without_comments(lines, above)
     if not filled:
         raise DataError(f"{path}: is empty; expected a header line and rows of numbers")

@@ -68,6 +68,8 @@ def test_line_ends_of_every_system_are_read_and_odd_ones_inside_a_cell_are_none(
         ),
         ('# exported\na;b\n;;\n1;"2\n3";4\n', "line 4: is not CSV (unexpected end of data)"),
         (b"\xff\xfea\x00,\x00", "column 2 has no name in the header; name it, or remove it"),
+        ("a,b\n1,2\n".encode("utf-16-le"), "is not UTF-8 text; give a CSV file in UTF-8"),
+        ("a,b\n1,2\n".encode("utf-16-be"), "is not UTF-8 text; give a CSV file in UTF-8"),
         (bytes(range(128, 256)), "is not UTF-8 text; give a CSV file in UTF-8"),
     ],
 )

@@ -24,7 +24,7 @@ from calib.core.base.files import read_text
 from calib.core.base.letters import unseen, visible
 from calib.core.base.own_files import is_mark
 from calib.core.base.registry import load_entry
-from calib.core.base.units import Dimension, MappedColumn, mapped_column, per_si, split_column
+from calib.core.base.units import Dimension, MappedColumn, check_plausible, mapped_column, per_si, split_column
 from calib.core.base.words import warn_once
 from calib.core.data.layouts import (
     COMMENTS,
@@ -48,7 +48,6 @@ _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d
 _LIKE_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
 _DECIMAL = re.compile(r"[-+]?\d*[.,]\d+", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
-_SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
 
 
 class DataFrameProtocol(Protocol):
@@ -230,21 +229,6 @@ def read_number(cell: str, where: str, separator: str = ",") -> float:
     if not math.isfinite(value):
         raise DataError(f"{where}: '{text:.60}' is not finite; remove the row")
     return value
-
-
-def check_plausible(value: float, dimension: Dimension, where: str, place: str) -> None:
-    """Raise `DataError` if a number without a unit is so large that it cannot be SI.
-
-    `place` is where to write the unit, such as `into the header`.
-    """
-    if dimension not in _SUSPICIOUS:
-        return
-    limit, unit = _SUSPICIOUS[dimension]
-    if abs(value) > limit:
-        si = "rad" if dimension == "angle" else "m"
-        raise DataError(
-            f"{where}: {value:g} {si} is not plausible; write the unit {place}: {unit}, or {si} if it is right"
-        )
 
 
 def read_table(

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from calib.core.base.errors import DataError
+from calib.core.base.units import check_plausible
 from calib.core.data.layouts import cells_of
 from calib.core.data.table_writing import format_table
-from calib.core.data.tables import check_plausible, read_table
+from calib.core.data.tables import read_table
 
 
 @pytest.fixture

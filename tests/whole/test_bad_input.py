@@ -193,6 +193,11 @@ BAD_OPTIONS = {
     "parameters and result": (f"{PREDICT} --parameters p.csv --result out", "give --parameters or --result, not both"),
     "json place": (f"{FIT} --json no/where.json", "no/where.json: cannot be written (no such file or directory)"),
     "no result": (f"{PREDICT} --result elsewhere", "elsewhere: holds no result (no result.json)"),
+    "a file that is the folder": (f"{FIT} --json new", "new: is to be a file and a folder; give each output a place"),
+    "prior twice": (f"{FIT} --prior turn.x=1mm,turn.x=2mm", "--prior turn.x=2mm: 'turn.x' is given twice"),
+    "speed nan": ("route arm.yaml data.csv --speed nan --out new", "'--speed': nan is not a finite number"),
+    "dwell inf": ("route arm.yaml data.csv --dwell inf --out new", "'--dwell': inf is not a finite number"),
+    "board of metres": ("board --board chessboard:9x6:30 --out b.pdf", "the board would be 270 m wide; write the unit"),
     "empty option": (f"{PREDICT} --result=", "'--result': it is empty; give it a value, or leave it out"),
     "file without end": ("predict arm.yaml /dev/zero --out new.csv", "/dev/zero: is larger than 256 MB"),
 }  # fmt: skip

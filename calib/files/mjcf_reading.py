@@ -86,7 +86,7 @@ def read_mjcf(path: str, *_: object) -> tuple[bytes, ForeignRobot]:
     what = f"{path}: is an MJCF file, and the package that reads them is not installed"
     mujoco = require_package("mujoco", f"{what}: pip install mujoco; or give a URDF", UrdfError)
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda said: warn_once(f"{path}: MuJoCo says: {said}"))  # else into MUJOCO_LOG.TXT
+    mujoco.set_mju_user_warning(lambda text: warn_once(f"{path}: MuJoCo says: {text}"))  # else into MUJOCO_LOG.TXT
     try:
         spec = mujoco.MjSpec.from_file(str(Path(path).resolve()))  # mesh paths are relative to the working folder
         with warnings.catch_warnings(action="ignore"):  # warnings about soft bodies

@@ -74,6 +74,7 @@ def test_signs_factors_and_zeros_of_columns(tmp_path, arm, caplog):
     [
         ('{turn: "turn + 90"}', "say the unit of the offset"),
         ('{turn: "0 * turn [deg]"}', "a factor of zero"),
+        ('{turn: "1e400 * turn [deg]"}', "a factor of zero, or one beyond all numbers"),
         ('{p: "-pose"}', "'pose' holds words"),
     ],
 )

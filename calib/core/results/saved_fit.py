@@ -172,7 +172,7 @@ def evaluate_fit(robot: Robot, entry: Mapping[str, Any], where: str) -> JudgedFi
     """
     try:
         fit = JudgedFit.from_fit(_fit_of(robot, entry))
-    except (CalibrationError, ValueError, KeyError, TypeError) as error:
+    except (CalibrationError, ValueError, LookupError, TypeError) as error:
         raise ComputationError(f"{where}: this version cannot evaluate the fit ({error}); run the fit again") from None
     if "reading_noise" in entry:  # else found at first use
         vars(fit)["unexplained"] = UnexplainedErrors(entry["reading_noise"], entry["joint_error"], _undecided_of(entry))

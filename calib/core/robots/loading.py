@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -217,8 +218,10 @@ def _check_columns(
                 raise DescriptionError(f"{place}: '{name}' holds words; leave out unit, sign and factor")
             continue
         require_known(name, dimensions.keys() | texts, f"{place}: no column", DescriptionError)
-        if mapped.factor == 0.0:
-            raise DescriptionError(f"{place}: a factor of zero loses the column; correct it")
+        if mapped.factor == 0.0 or not math.isfinite(mapped.factor + mapped.offset):
+            raise DescriptionError(
+                f"{place}: a factor of zero, or one beyond all numbers, loses the column; correct it"
+            )
         if (dimension := dimensions[name]) is not None:
             if mapped.offset and unit is None:
                 raise DescriptionError(f"{place}: say the unit of the offset, such as [deg] or [mm]")

@@ -259,7 +259,11 @@ def find_expanded_uncertainty(file: SomeFile) -> tuple[int, list[str]] | None:
 
 
 def expanded_uncertainty_lines(file: SomeFile, known: tuple[int, list[str]]) -> list[str]:
-    """Return the lines with U95 of each axis; a point's U95 is used for each coordinate."""
+    """Return the lines with U95 of each axis; a point's U95 is used for each coordinate.
+
+    Raises:
+        DataError: A row with numbers has more or fewer cells than the header.
+    """
     header, names = known
     columns, points = [[name] for name in names], 0
     for column, name in zip(columns, names, strict=True):
@@ -332,7 +336,7 @@ def report_lines(file: SomeFile, layout: ReportLayout) -> list[str]:
     """Return a header and a row for each point.
 
     Raises:
-        DataError: A point does not have exactly one X, Y and Z.
+        DataError: A point does not have exactly one X, Y and Z, or a number has marks between thousands.
     """
     unit = layout.unit or _unit_above(file.lines[: layout.header + 2])
     headers, points = cells_of(file.lines[layout.header]), dict[str, dict[str, str]]()

@@ -22,7 +22,17 @@ from calib.core.base.files import read_bytes
 from calib.core.data.other_formats import SomeFile
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_UNREADABLE = (ValueError, OSError, EOFError, TypeError, RuntimeError, zipfile.BadZipFile, csv.Error)
+_UNREADABLE = (
+    ValueError,
+    OSError,
+    EOFError,
+    TypeError,
+    RuntimeError,
+    MemoryError,
+    OverflowError,
+    zipfile.BadZipFile,
+    csv.Error,
+)
 
 
 def numpy_columns(file: SomeFile) -> dict[str, Sequence[object]]:
@@ -117,7 +127,7 @@ def _columns(file: SomeFile, arrays: Mapping[str, Any]) -> dict[str, Sequence[ob
 
     Texts of that length, such as names of poses, are columns, too.
     """
-    numbers = {name: np.asarray(a) for name, a in arrays.items() if not name.startswith("__")}
+    numbers = {name: _with_gaps(np.asarray(a)) for name, a in arrays.items() if not name.startswith("__")}
     texts = {name: a.tolist() for name, a in numbers.items() if a.ndim == 1 and a.dtype.kind == "U"}
     numbers = {name: a.ravel() if 1 in a.shape and a.ndim == 2 else a for name, a in numbers.items()}
     numbers = {n: a for n, a in numbers.items() if a.ndim in (1, 2, 3) and a.size > 1 and np.isrealobj(a)}
@@ -135,6 +145,12 @@ def _columns(file: SomeFile, arrays: Mapping[str, Any]) -> dict[str, Sequence[ob
         if array.shape[0] == most:
             columns |= _name_columns(name, array)
     return columns
+
+
+def _with_gaps(array: np.ndarray) -> np.ndarray:
+    """The array; as numbers, if it has nothing but numbers and gaps, which are `null` in JSON."""
+    is_numbers = array.dtype == object and all(cell is None or isinstance(cell, (int, float)) for cell in array.ravel())
+    return array.astype(float) if is_numbers else array
 
 
 def _name_columns(name: str, array: np.ndarray) -> dict[str, Sequence[object]]:

@@ -41,6 +41,7 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray, ReadOnlyArrays
 from calib.core.base.errors import UrdfError, require_package
+from calib.core.base.words import warn_once
 from calib.core.numerics import linalg
 from calib.core.robots.mechanism import perpendicular_axes
 from calib.core.robots.urdf.text import ForeignLoop, ForeignRobot
@@ -84,12 +85,16 @@ def read_mjcf(path: str, *_: object) -> tuple[bytes, ForeignRobot]:
     """
     what = f"{path}: is an MJCF file, and the package that reads them is not installed"
     mujoco = require_package("mujoco", f"{what}: pip install mujoco; or give a URDF", UrdfError)
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: warn_once(f"{path}: MuJoCo says: {text}"))  # else into MUJOCO_LOG.TXT
     try:
         spec = mujoco.MjSpec.from_file(str(Path(path).resolve()))  # mesh paths are relative to the working folder
         with warnings.catch_warnings(action="ignore"):  # warnings about soft bodies
             model = spec.compile()
     except (ValueError, OSError) as error:
         raise UrdfError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from None
+    finally:
+        mujoco.set_mju_user_warning(before)
     if model.nflex:
         raise UrdfError(f"{path}: has soft bodies (flex), which a URDF cannot hold; take them out of the file")
     folder = Path(path).resolve().parent

@@ -7,12 +7,15 @@ Measured X; ...`). Both become a row for each point: pose, X, Y, Z.
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calib.core.base.errors import DataError
+from calib.core.data.layouts import quote_cell
 from calib.core.data.other_formats import SomeFile
+from calib.core.data.tables import read_number
 
 _MARKS = ("//", "#", "%")
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|nan", re.ASCII | re.IGNORECASE)
@@ -32,9 +35,14 @@ _TRIPLES = (_AXES, ["rx", "ry", "rz"], ["tx", "ty", "tz"])
 
 
 def cells_of(line: str) -> list[str]:
-    """Return the cells of a line, separated by tabs, semicolons, commas, or else blanks."""
-    separator = next((mark for mark in "\t;," if mark in line), None)
-    cells = line.split(separator) if separator else re.findall(r'"[^"]*"|\S+', line)
+    """Return the cells of a line, separated by tabs, semicolons, commas, or else blanks, all outside of quotes."""
+    separator = next((mark for mark in "\t;," if mark in re.sub('"[^"]*"', "", line)), None)
+    if separator is None:
+        cells = re.findall(r'"[^"]*"|\S+', line)
+    elif '"' in line and len(line) <= csv.field_size_limit():
+        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    else:
+        cells = line.split(separator)
     return [cell.strip().strip('"') for cell in cells]
 
 
@@ -44,9 +52,10 @@ def _is_number(cell: str) -> bool:
 
 
 def _unit_above(lines: Sequence[str]) -> str | None:
-    """The unit of length in the lines above a table, or None."""
-    words = _UNITS | {f"units: {unit}": unit for unit in ("mm", "m")}
-    return next((unit for line in lines for word, unit in words.items() if word in line.casefold()), None)
+    """The only unit of length in the lines above a table; None if there is none, or several."""
+    words, text = _UNITS | {f"units: {unit}": unit for unit in ("mm", "m")}, "\n".join(lines).casefold()
+    units = {unit for word, unit in words.items() if re.search(rf"\b{word}\b", text)}
+    return units.pop() if len(units) == 1 else None
 
 
 def _numbers(cells: Sequence[str]) -> int:
@@ -54,9 +63,8 @@ def _numbers(cells: Sequence[str]) -> int:
 
 
 def _join_cells(cells: Sequence[str]) -> str:
-    """A line of a table, with semicolons if cells contain commas."""
-    mark = ";" if any("," in cell for cell in cells) else ","
-    return mark.join(cells)
+    """A line of a table, with semicolons, as commas may be decimal marks."""
+    return ";".join(map(quote_cell, cells))
 
 
 def _comment(line: str) -> str | None:
@@ -99,13 +107,12 @@ def commented_header_lines(file: SomeFile, known: tuple[int, list[str]]) -> list
                 names[places[axis]] += f" [{unit}]"
     if "target" in places and "pose" not in places:
         names[places["target"]] = "pose"
-    mark = ";" if any("," in c for line in lines[header:] if "," in line for c in cells_of(line)) else ","
     return [
-        mark.join(names)
+        _join_cells(names)
         if k == header
         else f"# {comment}"
         if (comment := _comment(line)) is not None
-        else mark.join(cells_of(line))
+        else _join_cells(cells_of(line))
         for k, line in enumerate(lines)
     ]
 
@@ -152,7 +159,7 @@ def numbered_lines(file: SomeFile) -> list[str]:
     """Return the lines below a header of numbers from 1."""
     rows = [line for line in file.lines if line.strip() and _comment(line) is None]
     width = len(cells_of(rows[0])) if rows else 0
-    return [",".join(str(k + 1) for k in range(width)), *(_join_cells(cells_of(row)) for row in rows)]
+    return [_join_cells([str(k + 1) for k in range(width)]), *(_join_cells(cells_of(row)) for row in rows)]
 
 
 def find_axes(file: SomeFile) -> int | None:
@@ -197,13 +204,17 @@ def named_above_lines(file: SomeFile, k: int) -> list[str]:
 
 
 def _with_header(lines: Sequence[str], first: int, header: Sequence[str]) -> list[str]:
-    """Lines with rows from `first` on; lines above become comments, the last of them the header."""
+    """Lines with rows from `first` on; lines above become comments, the last of them the header.
+
+    A row may end in separators that the header lacks. One with too few or too many numbers stays: the reader names it.
+    """
     width, rows = len(header), list[str]()
     for line in lines[first:]:
         cells = cells_of(line)
-        whole = len(cells) == width and _numbers(cells) > 0
-        rows.append(_join_cells(cells) if whole else f"# {line}" if line.strip() else "")
-    return [*(f"# {line}" for line in lines[: first - 1]), ",".join(header), *rows]
+        cells = cells if any(cells[width:]) else cells[:width]
+        is_row = _numbers(cells) > (len(cells) != width)
+        rows.append(_join_cells(cells) if is_row else f"# {line}" if line.strip() else "")
+    return [*(f"# {line}" for line in lines[: first - 1]), _join_cells(header), *rows]
 
 
 def motive_lines(file: SomeFile) -> list[str]:
@@ -215,7 +226,8 @@ def motive_lines(file: SomeFile) -> list[str]:
     lines = file.lines
     first = cells_of(lines[0])
     settings = dict(zip(first[::2], first[1::2], strict=False))
-    unit = _UNITS.get(settings.get("Length Units", "").casefold(), "m")
+    word = settings.get("Length Units", "").casefold()
+    unit = f" [{_UNITS.get(word, word)}]" if word else ""
     rows = {cells[1]: cells for cells in map(cells_of, lines[:12]) if len(cells) > 2 and cells[1] in ("Name", "Type")}
     k = next((k for k, line in enumerate(lines[:14]) if cells_of(line)[:1] == ["Frame"]), None)
     unlabelled = [cells_of(line) for line in lines[1:k] if line.strip()]  # type, name, number, what is measured
@@ -232,7 +244,7 @@ def motive_lines(file: SomeFile) -> list[str]:
         if kind == "Rotation":
             header.append(f"{name}_q{letter.casefold()}")
         elif kind == "Position":
-            header.append(f"{name}_{letter.casefold()} [{unit}]")
+            header.append(f"{name}_{letter.casefold()}{unit}")
         else:
             header.append("time" if letter.startswith("Time") else f"{name} {kind} {letter}".strip())
     return _with_header(
@@ -247,7 +259,11 @@ def find_expanded_uncertainty(file: SomeFile) -> tuple[int, list[str]] | None:
 
 
 def expanded_uncertainty_lines(file: SomeFile, known: tuple[int, list[str]]) -> list[str]:
-    """Return the lines with U95 of each axis; a point's U95 is used for each coordinate."""
+    """Return the lines with U95 of each axis; a point's U95 is used for each coordinate.
+
+    Raises:
+        DataError: A row with numbers has more or fewer cells than the header.
+    """
     header, names = known
     columns, points = [[name] for name in names], 0
     for column, name in zip(columns, names, strict=True):
@@ -259,9 +275,11 @@ def expanded_uncertainty_lines(file: SomeFile, known: tuple[int, list[str]]) -> 
     for k, line in enumerate(file.lines):
         cells = cells_of(line)
         if k == header:
-            table.append(";".join(name for column in columns for name in column))
+            table.append(_join_cells([name for column in columns for name in column]))
         elif k > header and len(cells) == len(names):
-            table.append(";".join(cell for cell, column in zip(cells, columns, strict=True) for _ in column))
+            table.append(_join_cells([cell for cell, column in zip(cells, columns, strict=True) for _ in column]))
+        elif k > header and _comment(line) is None and _numbers(cells) > 1:
+            raise DataError(f"{file.path}, line {k + 1}: {len(cells)} cells for {len(names)} columns")
         else:
             table.append(line if _comment(line) is not None or not line.strip() else f"# {line}")
     return table
@@ -318,10 +336,10 @@ def report_lines(file: SomeFile, layout: ReportLayout) -> list[str]:
     """Return a header and a row for each point.
 
     Raises:
-        DataError: A point does not have exactly one X, Y and Z.
+        DataError: A point does not have exactly one X, Y and Z, or a number has marks between thousands.
     """
     unit = layout.unit or _unit_above(file.lines[: layout.header + 2])
-    points: dict[str, dict[str, str]] = {}
+    headers, points = cells_of(file.lines[layout.header]), dict[str, dict[str, str]]()
     name = ""
     for k, line in enumerate(file.lines[layout.header + 1 :], layout.header + 2):
         cells = cells_of(line)
@@ -330,7 +348,8 @@ def report_lines(file: SomeFile, layout: ReportLayout) -> list[str]:
         name = cells[layout.name] or name
         axes: Sequence[str] = "XYZ" if layout.control is None else [cells[layout.control].upper()]
         for axis, column in zip(axes, layout.values, strict=True):
-            if axis in ("X", "Y", "Z") and _is_number(cells[column]):
+            if axis in ("X", "Y", "Z") and re.search(r"\d", cells[column]):
+                read_number(cells[column], f"{file.path}, line {k}, column '{headers[column]}'", ";")
                 if axis in points.setdefault(name, {}):
                     raise DataError(f"{file.path}, line {k}: point '{name}' has {axis} twice; give each its own name")
                 points[name][axis] = cells[column]
@@ -339,5 +358,5 @@ def report_lines(file: SomeFile, layout: ReportLayout) -> list[str]:
     if not points:
         raise DataError(f"{file.path}: has no measured points below its header")
     suffix = f" [{unit}]" if unit else ""
-    header = ";".join(["pose", *(f"{axis}{suffix}" for axis in "XYZ")])
-    return [header, *(";".join([name, *(axes[axis] for axis in "XYZ")]) for name, axes in points.items())]
+    header = _join_cells(["pose", *(f"{axis}{suffix}" for axis in "XYZ")])
+    return [header, *(_join_cells([name, *(axes[axis] for axis in "XYZ")]) for name, axes in points.items())]

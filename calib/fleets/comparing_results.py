@@ -26,6 +26,7 @@ Reference: holm1979, satterthwaite1946.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -88,7 +89,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
                 f"compare: expected fits or result folders, not {type(given).__name__}; the nominal robot and the"
                 " calibrated one of a fit are side by side in fit.to_dataframe()"
             )
-    folders = [Path(result).resolve() for result in results if not isinstance(result, Fit)]
+    folders = [os.path.realpath(result) for result in results if not isinstance(result, Fit)]
     if len(set(folders)) < len(folders):
         raise InputError("a result folder is given twice; give each once")
     names_of_folders = iter(distinct_names([result for result in results if not isinstance(result, Fit)]))

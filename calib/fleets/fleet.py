@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -233,7 +234,7 @@ def fleet(*results: Path | str) -> Fleet:
     """
     if len(results) < 2:
         raise InputError(f"{count_noun(len(results), 'result')} given; give those of two or more robots of one model")
-    if len({Path(result).resolve() for result in results}) < len(results):
+    if len({os.path.realpath(result) for result in results}) < len(results):
         raise InputError("a result folder is given twice; give each robot once")
     if not any(is_calibration(result) for result in results):
         return _fleet([Path(result) for result in results])

@@ -154,8 +154,9 @@ def read_pairs(path: Path | str, joint_names: Sequence[str]) -> Pairs:
                 f" {', '.join(table.names)})"
             )
         joints, positions, rotations = order[:n], order[n : n + 3], order[n + 3 :]
-    bare = replace(table, units=(None,) * len(names))
-    numbers = {k: bare.column(table.names[k], None) for k in (*joints, *positions, *rotations)}
+    used = (*joints, *positions, *rotations)
+    plain = replace(table, units=tuple("1" if k in used else None for k in range(len(names))))
+    numbers = {k: plain.column(table.names[k], "number") for k in used}
     units = (*(table.units[k] for k in joints), _unit(table, positions), _unit(table, rotations))
     steps = [_step(table, columns, numbers) for columns in (*([k] for k in joints), positions, rotations)]
     q, p, r = (np.stack([numbers[k] for k in columns], axis=1) for columns in (joints, positions, rotations))

@@ -92,6 +92,8 @@ def _pinhole(content: Mapping[str, Any], named: Mapping[str, Any], path: Path | 
         raise DescriptionError(f"{path}: {key}: has {len(numbers)} numbers; a camera matrix has 9")
     if abs(numbers[1]) > 1e-6 * abs(numbers[0]):
         raise DescriptionError(f"{path}: {key}: has a skew of {numbers[1]:g}, which is not known here")
+    if [numbers[3], *numbers[6:]] != [0, 0, 0, 1]:
+        raise DescriptionError(f"{path}: {key}: is not [fx, 0, cx, 0, fy, cy, 0, 0, 1]; transpose it if it is MATLAB's")
     return [numbers[0], numbers[4], numbers[2], numbers[5]]
 
 

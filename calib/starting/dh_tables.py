@@ -17,8 +17,8 @@ import pinocchio as pin
 
 from calib.core.base.arrays import FloatArray
 from calib.core.base.errors import DataError, nearest, require_known
-from calib.core.base.units import DISPLAY_UNIT, Dimension, per_si, quantity
-from calib.core.data.tables import Table, check_plausible, read_number, read_table
+from calib.core.base.units import DISPLAY_UNIT, Dimension, check_plausible, per_si, quantity
+from calib.core.data.tables import Table, read_number, read_table
 from calib.core.robots.urdf.reader import Triple
 from calib.core.robots.urdf.writing import joint_text, robot_text
 from calib.shared.denavit_hartenberg import (

@@ -74,6 +74,7 @@ def test_signs_factors_and_zeros_of_columns(tmp_path, arm, caplog):
     [
         ('{turn: "turn + 90"}', "say the unit of the offset"),
         ('{turn: "0 * turn [deg]"}', "a factor of zero"),
+        ('{turn: "1e400 * turn [deg]"}', "a factor of zero, or one beyond all numbers"),
         ('{p: "-pose"}', "'pose' holds words"),
     ],
 )
@@ -150,6 +151,55 @@ def test_exports_of_instruments_are_read_row_by_row(tmp_path, arm, content, capl
         joined(tmp_path, robot, short)
     with pytest.raises(calib.DataError, match=r"fewer.txt.*(no file with joint values has a pose 'p1'|join: rows, or)"):
         joined(tmp_path, arm(), short, "fewer.txt")
+
+
+def decimal_commas(content, mark):
+    """The content with decimal commas: separated by a mark, or with commas and in quotes."""
+    quote = '"' if mark == "," else ""
+    rows = [re.split("[,;\t]", line) for line in content.splitlines()]
+    return "\n".join(
+        mark.join(f"{quote}{cell.strip(chr(34)).replace('.', ',')}{quote}" for cell in row) for row in rows
+    )
+
+
+@pytest.mark.parametrize("mark", [";", "\t", ","])
+@pytest.mark.parametrize(
+    "content", [VICON, MOTIVE, FARO, U95.replace(",", ".")], ids=["vicon", "motive", "faro", "leica"]
+)
+def test_decimal_commas_are_read_in_every_layout(tmp_path, arm, content, mark):
+    robot = arm("join: rows")
+    check(joined(tmp_path, robot, decimal_commas(content, mark)), robot)
+    numbered = decimal_commas(text_of(rows()), mark)
+    (tmp_path / "numbered.txt").write_text(numbered)
+    check(calib.read_measurements(tmp_path / "numbered.txt", arm(NUMBERED)), arm(NUMBERED))
+
+
+def test_a_row_of_another_length_is_named_and_separators_at_its_end_are_nothing(tmp_path, arm):
+    robot = arm("join: rows")
+    for content in (VICON, MOTIVE):
+        check(joined(tmp_path, robot, content[:-1] + ",,\n"), robot)
+    for content, said in (
+        (VICON, "line 7: 4 cells for 5 columns"),
+        (MOTIVE, "line 9: 8 cells for 10"),
+        (U95, "line 3: 3 cells"),
+    ):
+        lines = content.splitlines()
+        lines[-2] = lines[-2].rsplit(";" if content is U95 else ",", 1 if content is VICON else 2)[0]
+        with pytest.raises(calib.DataError, match=said):
+            joined(tmp_path, robot, "\n".join(lines))
+
+
+def test_a_unit_of_length_is_a_whole_word_and_the_only_one(tmp_path):
+    for said, unit in (
+        ("Units: Millimeters", "mm"),
+        ("Parameters, diameters", None),
+        ("Deviations in micrometers, all else in millimeters", None),
+    ):
+        (tmp_path / "a.tsv").write_text(POLYWORKS.replace("Units: Millimeters", said))
+        assert read_table(tmp_path / "a.tsv").units == (None, unit, unit, unit)
+    for said, unit in (("Length Units,Centimeters", "centimeters"), ("Coordinates,Global", None)):
+        (tmp_path / "a.csv").write_text(MOTIVE.replace("Length Units,Millimeters", said))
+        assert read_table(tmp_path / "a.csv").units[6] == unit
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "latin-1"])
@@ -268,10 +318,29 @@ def test_json_of_arrays_or_records_is_read(tmp_path, arm, form):
     assert data.names == ("p0", "p1", "p2")
 
 
+def test_null_in_json_is_an_empty_cell(tmp_path, arm):
+    robot = arm("columns: {q_x: turn, q_y: slide, q_z: wrist}")
+    points = [{"tool": point} for point in (POINTS[0].tolist(), [None, None, None], POINTS[2].tolist())]
+    (tmp_path / "a.json").write_text(json.dumps([{"q": q} | p for q, p in zip(JOINTS.tolist(), points, strict=True)]))
+    data = calib.read_measurements(tmp_path / "a.json", robot)
+    assert np.allclose(data.points(robot)[:, 0], POINTS[[0, 2]])
+
+
 SERVO = {"id": 1, "drive_mode": 0, "homing_offset": -100, "range_min": 1024, "range_max": 3072}
 SO100 = {"homing_offset": [1, 2], "drive_mode": [0, 1], "calib_mode": ["DEGREE"], "motor_names": ["elbow_flex", "grip"]}
 REFUSED = [  # name, content, and what is said
     ("a.csv", FARO.splitlines()[0] + "\n", "has no measured points below its header"),
+    (
+        "a.tsv",
+        POLYWORKS.replace("420.0", "1,420.0"),
+        "a.tsv, line 9, column 'Meas': '1,420.0' is not a number; write thous",
+    ),
+    ("a.json", json.dumps({"a": [[10**400, None]]}), "cannot be read (int too large"),
+    (
+        "a.npy",
+        b"\x93NUMPY\x01\0v\0{'descr':'<f8','fortran_order':False,'shape':(99999999999999,)}".ljust(127) + b"\n",
+        "cannot be read",
+    ),
     ("a.tsv", POLYWORKS.replace("p2\tX", "p2\tDiameter"), "point 'p2' lacks a measured X, Y or Z"),
     ("a.csv", SEGMENTS + "\n" + VICON, "a.csv, line 11: a second table begins; keep one of them"),
     ("a.csv", 't,q\n0,"[1, 2]"\n1,"[1]"\n', "a.csv: cannot be read"),

@@ -258,3 +258,12 @@ def test_shapes_that_collide_in_mujoco_collide_here(tmp_path, run_calib):
     assert np.mean(check.is_free == theirs) <= 0.01  # contacts by less than what both round
     run = run_calib("init", "arm.xml", "--out", "arm.yaml", cwd=tmp_path)
     assert "ollision shapes left out, which a URDF cannot hold (write 'obstacles' for them): of world, d" in run.out
+
+
+def test_warnings_of_mujoco_are_notes_and_leave_no_file(tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.xml").write_text(ARM.replace('axis="0 1 1"', 'axis="0 1 nan"'))
+    with pytest.raises(UrdfError, match="'nan' is not a number"):
+        calib.load("a.xml")
+    assert "a.xml: MuJoCo says: XML contains a 'NaN'" in caplog.text
+    assert [path.name for path in tmp_path.iterdir()] == ["a.xml"]

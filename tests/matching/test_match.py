@@ -443,6 +443,11 @@ def test_a_file_that_is_not_as_it_seems_is_named(stock: Path, tmp_path: Path, he
             "0,0,0,0,0,0,1,2,3,0,0,0,0",
             "line 2: the rotation is not a quaternion",
         ),
+        (
+            "j1;j2;j3;j4;j5;j6;x;y;z;rx;ry;rz",
+            "0;0;0;0;0;0;1,234;2;3;0.5;0;0",
+            "line 2, column 'x': '1,234', but another column has '0.5'",
+        ),
     ],
 )
 def test_cells_that_say_nothing_are_named(tmp_path: Path, header: str, row: str, said: str) -> None:

@@ -252,6 +252,10 @@ BAD_FILES = {
         (ROS.replace("plumb_bob", "cubic"), "'cubic' is not known"),
         (ROS.replace("cols: 5, data: [-0.1, 0.05, 0.001, -0.002, 0.01]", "cols: 6, data: [0, 0, 0, 0, 0, 0.1]"), "k4"),
         (ROS.replace("900, 0, 640", "900, 3, 640"), "skew"),
+        (
+            ROS.replace("0, 640, 0, 905, 470, 0, 0, 1]", "0, 0, 0, 905, 0, 640, 470, 1]"),
+            "transpose it if it is MATLAB's",
+        ),
         (ROS.replace("900, 0, 640", "-900, 0, 640"), "positive"),
         (ROS.replace("0, 0, 1]", "0, 0]"), "a camera matrix has 9"),
         (ROS.replace("900", "nine"), "not a number"),

@@ -6,6 +6,7 @@ import re
 
 import pytest
 
+import calib
 from tests.project import EXAMPLES
 from tests.small_robots import ARM_URDF, ARM_YAML, write_arm
 
@@ -153,6 +154,19 @@ def test_a_folder_in_the_place_of_data_is_refused(folder, refused):
         assert refused(command) == "calib: data.csv: cannot be read (is a directory)"
 
 
+def test_a_link_to_itself_in_the_place_of_data_or_a_result_is_refused(folder, refused):
+    (folder / "data.csv").unlink()
+    (folder / "data.csv").symlink_to("data.csv")
+    for command in EACH:
+        assert refused(command) == "calib: data.csv: cannot be read (too many levels of symbolic links)"
+    assert "data.csv: holds no result" in refused("compare data.csv out")
+
+
+def test_a_name_that_no_file_can_have_is_an_error_of_reading(tmp_path):
+    with pytest.raises(calib.DataError, match=r"cannot be read \(file name too long\)"):
+        calib.read_measurements("x" * 300, calib.load(write_arm(tmp_path)))
+
+
 @pytest.mark.quick(0)
 def test_a_pose_that_cannot_be_assembled_is_refused_with_pose_and_loop(folder, refused):
     good = (EXAMPLES / "five_bar_simulated.csv").read_text().splitlines()[:12]  # two of them are comments
@@ -179,6 +193,12 @@ BAD_OPTIONS = {
     "parameters and result": (f"{PREDICT} --parameters p.csv --result out", "give --parameters or --result, not both"),
     "json place": (f"{FIT} --json no/where.json", "no/where.json: cannot be written (no such file or directory)"),
     "no result": (f"{PREDICT} --result elsewhere", "elsewhere: holds no result (no result.json)"),
+    "a file that is the folder": (f"{FIT} --json new", "new: is to be a file and a folder; give each output a place"),
+    "prior twice": (f"{FIT} --prior turn.x=1mm,turn.x=2mm", "--prior turn.x=2mm: 'turn.x' is given twice"),
+    "speed nan": ("route arm.yaml data.csv --speed nan --out new", "'--speed': nan is not a finite number"),
+    "dwell inf": ("route arm.yaml data.csv --dwell inf --out new", "'--dwell': inf is not a finite number"),
+    "board of metres": ("board --board chessboard:9x6:30 --out b.pdf", "the board would be 270 m wide; write the unit"),
+    "empty option": (f"{PREDICT} --result=", "'--result': it is empty; give it a value, or leave it out"),
     "file without end": ("predict arm.yaml /dev/zero --out new.csv", "/dev/zero: is larger than 256 MB"),
 }  # fmt: skip
 

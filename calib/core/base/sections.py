@@ -28,7 +28,7 @@ from calib.core.base.errors import DescriptionError, nearest, require_known
 from calib.core.base.files import read_text
 from calib.core.base.letters import unseen
 from calib.core.base.parameter import Parameter
-from calib.core.base.units import Dimension, quantity
+from calib.core.base.units import Dimension, plain_quantity, quantity
 
 Component = Literal["x", "y", "z", "rx", "ry", "rz"]
 LENGTH_COMPONENTS: tuple[Component, ...] = ("x", "y", "z")
@@ -56,6 +56,13 @@ def _reader(dimension: Dimension) -> BeforeValidator:
     return BeforeValidator(read, json_schema_input_type=float | str)
 
 
+def _writer(dimension: Dimension) -> PlainSerializer:
+    def write(value: float) -> float | str:
+        return plain_quantity(value, dimension)
+
+    return PlainSerializer(write, when_used="json")
+
+
 UNKNOWN_KEY: LiteralString = "unknown_key"
 """Type of the error of a key that a section does not have; its context has the key, and a hint at the nearest one."""
 
@@ -67,8 +74,8 @@ def _number_or_text(value: Any) -> float | str:
     return value if huge or isinstance(value, str) else float(value)
 
 
-Length = Annotated[float, _reader("length")]
-Angle = Annotated[float, _reader("angle")]
+Length = Annotated[float, _reader("length"), _writer("length")]
+Angle = Annotated[float, _reader("angle"), _writer("angle")]
 Pixels = Annotated[float, _reader("pixel")]
 PositiveLength = Annotated[Length, Field(gt=0)]
 PositiveAngle = Annotated[Angle, Field(gt=0)]
@@ -204,10 +211,11 @@ def _read(value: Any) -> OwnLength:
     return OwnLength(quantity(value["value"], "length", "value", _ValueError), True, sigma)
 
 
-def _to_yaml(length: OwnLength) -> float | str | dict[str, float]:
+def _to_yaml(length: OwnLength) -> float | str | dict[str, float | str]:
+    value = plain_quantity(length.value, "length")
     if not length.unknown:
-        return length.value
-    return "unknown" if length.sigma is None else {"value": length.value, "sigma": length.sigma}
+        return value
+    return "unknown" if length.sigma is None else {"value": value, "sigma": plain_quantity(length.sigma, "length")}
 
 
 LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read), PlainSerializer(_to_yaml)]

@@ -46,6 +46,7 @@ _OTHERWISE = re.compile(
     rf"^(?:(?P<name>.*?\S)\s*\((?P<unit>[^()]*)\)|(?P<lead>[^/]*[^/\s])\s*/\s*(?P<slash>{_UNIT}))$", re.DOTALL
 )
 _UNITS = {*_SIGNS, *(unit for units in PER_SI.values() for unit in units if unit != "1")}
+_SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "rad"), "length": (50.0, "m")}
 _SMALLEST, _LARGEST = 1e-30, 1e9  # [SI]
 _TOLERANCE, _ALIKE = "tolerance", 0.8
 _STATEMENT = re.compile(r"^(\w+)\s*[:=]\s*(.*\S)\s*$")
@@ -86,7 +87,8 @@ def quantity(value: object, dimension: Dimension, where: str, error: type[Except
 
     Raises:
         InputError: Or the given `error`: the value is not a finite number with an optional unit of this dimension, or
-            it is so large or small that its square would overflow or vanish.
+            it is so large or small that its square would overflow or vanish, or so large without a unit that it cannot
+            be SI.
     """
     number, unit = math.nan, None
     if isinstance(value, int) and not isinstance(value, bool):
@@ -102,7 +104,33 @@ def quantity(value: object, dimension: Dimension, where: str, error: type[Except
     if si != 0 and not _SMALLEST <= abs(si) <= _LARGEST:
         size = "large" if abs(si) > 1 else "small"
         raise error(f"{where}: {value!r:.60} is too {size} to mean anything; correct it")
+    if not unit:
+        example = f"'{number:g} {DISPLAY_UNIT[dimension]}'"
+        check_plausible(number, dimension, where, f"after the number, such as {example}", error)
     return si
+
+
+def check_plausible(
+    value: float, dimension: Dimension, where: str, place: str, error: type[Exception] = DataError
+) -> None:
+    """Raise the `error`, a `DataError`, if a number without a unit is so large that it cannot be SI.
+
+    `place` is where to write the unit, such as `into the header`.
+    """
+    limit, si = _SUSPICIOUS.get(dimension, (math.inf, ""))
+    if abs(value) > limit:
+        unit = DISPLAY_UNIT[dimension]
+        raise error(f"{where}: {value:g} {si} is not plausible; write the unit {place}: {unit}, or {si} if it is right")
+
+
+def plain_quantity(value: float, dimension: Dimension) -> float | str:
+    """Return an SI value as `quantity` reads it: a number, with its unit where it would not be plausible without.
+
+    >>> plain_quantity(0.5, "length"), plain_quantity(60.0, "length")
+    (0.5, '60.0 m')
+    """
+    limit, si = _SUSPICIOUS.get(dimension, (math.inf, ""))
+    return f"{value!r} {si}" if abs(value) > limit else value
 
 
 def stated_tolerance(comments: Iterable[str], path: str, error: type[CalibrationError] = DataError) -> float | None:

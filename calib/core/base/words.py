@@ -8,6 +8,7 @@ import io
 import json
 import logging
 import math
+import os
 import textwrap
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
@@ -64,7 +65,7 @@ def distinct_names(paths: Sequence[Path | str]) -> tuple[str, ...]:
     >>> distinct_names(["/data/left/out", "/data/right/out"])
     ('left', 'right')
     """
-    parts = [Path(path).resolve().parts for path in paths]
+    parts = [Path(os.path.realpath(path)).parts for path in paths]
     most = min(map(len, parts), default=1) - 1  # so that something is left of each path
     first = next((k for k in range(most) if len({path[k] for path in parts}) > 1), most)
     last = next((k for k in range(most - first) if len({path[-1 - k] for path in parts}) > 1), most - first)

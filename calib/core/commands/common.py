@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import logging
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -102,6 +103,9 @@ class Output:
         for folder in given:
             check_folder(folder, names, force=self.force)
         places = [Path(str(file)).resolve() for file in targets]
+        clash = next((path for path in places if path in [Path(folder).resolve() for folder in given]), None)
+        if clash is not None:
+            raise InputError(f"{clash}: is to be a file and a folder; give each output a place of its own")
         places += [Path(folder, name).resolve() for folder in given for name in names]
         for path in places:
             if places.count(path) > 1 and (path.is_file() or not path.exists()):
@@ -150,6 +154,7 @@ def shared_options(
         def run(
             *args: Any, quiet: bool, debug: bool, force: bool, json_target: str | None = None, **options: Any
         ) -> None:
+            _check_values(click.get_current_context())
             output = Output(quiet, json_target, force)
             _tell_warnings(quiet)
             try:
@@ -180,6 +185,19 @@ def shared_options(
         return run
 
     return decorate
+
+
+def _check_values(context: click.Context) -> None:
+    """Raise `click.BadParameter` for an empty word, such as that of an unset variable of the shell, and for nan or inf.
+
+    Infinity is in every open range, and nan in all ranges, as click compares them.
+    """
+    for param in context.command.params:
+        value = context.params.get(param.name or "")
+        if isinstance(param.type, click.FloatRange) and value is not None and not math.isfinite(value):
+            raise click.BadParameter(f"{value} is not a finite number", context, param)
+        if value == "" or (isinstance(value, tuple) and "" in value):
+            raise click.BadParameter("it is empty; give it a value, or leave it out", context, param)
 
 
 def _in_one_line(error: Exception) -> OneLineError:

@@ -204,6 +204,8 @@ def _priors(text: str | None) -> dict[str, str]:
         name, equals, value = (part.strip() for part in entry.rpartition("="))
         if not equals or value[-1:].isdecimal():
             raise InputError(f"--prior {entry}: is not a name and a value with its unit, such as joint_3.z=0.1mm")
+        if name in priors:
+            raise InputError(f"--prior {entry}: '{name}' is given twice")
         priors[name] = value
     return priors
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import click
@@ -9,7 +10,7 @@ import numpy as np
 
 from calib import pictures
 from calib.core.base.errors import DataError, InputError, nearest
-from calib.core.base.units import quantity
+from calib.core.base.units import DISPLAY_UNIT, quantity
 from calib.core.base.words import count_noun
 from calib.core.commands.common import Output, load_robot, result_folder, shared_options
 from calib.core.data.measurement_files import read_measurements, read_poses
@@ -132,6 +133,8 @@ def _change(robot: Robot, text: str) -> tuple[str, float]:
     known = {change.name: change.dimension for change in candidates(robot)}
     if name not in known:
         raise DataError(f"--change: '{name}' is no parameter or joint zero that can change{nearest(name, known)}")
+    if re.fullmatch(r"[\d.eE+-]+", size):  # a bare number could be in mm or in m
+        raise InputError(f"--change '{text}': write the unit of the size, such as {size}{DISPLAY_UNIT[known[name]]}")
     value = quantity(size, known[name], f"--change {name}")
     if value == 0:
         raise DataError(f"--change '{text}': is not a change; give a size other than zero")

@@ -175,9 +175,10 @@ def _as_lines(where: str, rows: Sequence[tuple[Any, ...]]) -> list[str]:
             lines.append(texts[0])
             continue
         texts += [""] * (width - len(texts))
-        lines.append(",".join(_quote(text) for text in texts))
+        lines.append(",".join(map(quote_cell, texts)))
     return lines
 
 
-def _quote(text: str) -> str:
+def quote_cell(text: str) -> str:
+    """Return a cell, in quotes if it would be several cells or a comment without them."""
     return '"' + text.replace('"', '""') + '"' if re.search(r'[",;\t]|^\s*(#|//)', text) else text

@@ -10,6 +10,7 @@ their order, or by time, if the robot description asks for it (`join`); what was
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
@@ -68,7 +69,7 @@ def read_measurements(
     """
     robot = robot_of_data(path, robot)
     paths = sources(path)
-    files = [Path(source).resolve() if isinstance(source, (str, Path)) else None for source in paths]
+    files = [os.path.realpath(source) if isinstance(source, (str, Path)) else None for source in paths]
     for k, again in enumerate(paths):
         if files[k] is not None and files[k] in files[:k]:
             raise DataError(f"{again}: is given twice, so that every reading would count as two; give it once")

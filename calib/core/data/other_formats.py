@@ -104,10 +104,13 @@ def read_other(path: Path | str, renamed: Mapping[str, str]) -> list[str] | dict
 
     A format that cannot be read is a `DataError`, which says what it is and what to do.
     """
-    if not Path(path).is_file():
+    try:
+        if not Path(path).is_file():
+            return None
+        with Path(path).open("rb") as stream:
+            file = SomeFile(Path(path), stream.read(_HEAD), renamed)
+    except OSError:  # reading the file as a table will raise the error
         return None
-    with Path(path).open("rb") as stream:
-        file = SomeFile(Path(path), stream.read(_HEAD), renamed)
     known = next((each for each in other_formats() if each.fits(file)), None)
     if known is None:
         return None

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from calib.core.base.errors import DataError, ParameterError
 from calib.core.base.parameter import index_of
-from calib.core.base.units import per_si
-from calib.core.data.tables import check_plausible, read_number, read_table
+from calib.core.base.units import check_plausible, per_si
+from calib.core.data.tables import read_number, read_table
 from calib.core.robots.loading import RobotLike, as_robot
 
 COLUMNS = ("parameter", "value", "unit")

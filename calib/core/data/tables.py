@@ -24,7 +24,7 @@ from calib.core.base.files import read_text
 from calib.core.base.letters import unseen, visible
 from calib.core.base.own_files import is_mark
 from calib.core.base.registry import load_entry
-from calib.core.base.units import Dimension, MappedColumn, mapped_column, per_si, split_column
+from calib.core.base.units import Dimension, MappedColumn, check_plausible, mapped_column, per_si, split_column
 from calib.core.base.words import warn_once
 from calib.core.data.layouts import (
     COMMENTS,
@@ -45,8 +45,9 @@ _LARGEST_NUMBER = 1e30  # largest value in other columns: squares and sums of ma
 IN_MEMORY = "table in memory"
 """Name in messages of a table that is no file."""
 _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
+_LIKE_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
+_DECIMAL = re.compile(r"[-+]?\d*[.,]\d+", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
-_SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
 
 
 class DataFrameProtocol(Protocol):
@@ -176,13 +177,30 @@ class Table:
         )
 
     def _check_marks(self, name: str, cells: Sequence[str]) -> None:
-        """Raise `DataError` where a column has commas and points, as it is unclear which of them are decimal."""
+        """Raise `DataError` where a column has commas and points, as it is unclear which of them are decimal.
+
+        So are `1.234` if another column with a unit has decimal commas, and `1,234` if one has decimal points.
+        """
         comma = next((k for k, cell in enumerate(cells) if "," in cell and "." not in cell), None)
         point = next((k for k, cell in enumerate(cells) if "." in cell and "," not in cell), None)
         if comma is not None and point is not None:
             raise DataError(
                 f"{self.where(comma, name)}: '{cells[comma].strip():.60}', but '{cells[point].strip():.60}' in line"
                 f" {self.lines[point]}; write all decimals of a column one way"
+            )
+        doubtful = next((k for k, cell in enumerate(cells) if _LIKE_THOUSANDS.fullmatch(cell.strip())), None)
+        if doubtful is None:
+            return
+        other = "." if "," in cells[doubtful] else ","
+        columns = [column for column, unit in enumerate(self.units) if unit]
+        marked = (row[column].strip() for column in columns for row in self.rows if other in row[column])
+        decimal = next(
+            (text for text in marked if _DECIMAL.fullmatch(text) and not _LIKE_THOUSANDS.fullmatch(text)), ""
+        )
+        if decimal:
+            raise DataError(
+                f"{self.where(doubtful, name)}: '{cells[doubtful].strip()}', but another column has '{decimal:.60}';"
+                " write all decimals one way, and thousands without a mark"
             )
 
     def where(self, row: SupportsIndex, name: str = "") -> str:
@@ -211,21 +229,6 @@ def read_number(cell: str, where: str, separator: str = ",") -> float:
     if not math.isfinite(value):
         raise DataError(f"{where}: '{text:.60}' is not finite; remove the row")
     return value
-
-
-def check_plausible(value: float, dimension: Dimension, where: str, place: str) -> None:
-    """Raise `DataError` if a number without a unit is so large that it cannot be SI.
-
-    `place` is where to write the unit, such as `into the header`.
-    """
-    if dimension not in _SUSPICIOUS:
-        return
-    limit, unit = _SUSPICIOUS[dimension]
-    if abs(value) > limit:
-        si = "rad" if dimension == "angle" else "m"
-        raise DataError(
-            f"{where}: {value:g} {si} is not plausible; write the unit {place}: {unit}, or {si} if it is right"
-        )
 
 
 def read_table(
@@ -263,6 +266,8 @@ def read_table(
 
 def _table_of_lines(path: str, lines: Sequence[str], renamed: Mapping[str, str]) -> Table:
     above = header_line(path, lines)
+    if "\0" in "".join(lines[: above + 1]):  # as in UTF-16 without its mark, and in files that are no text
+        raise DataError(f"{path}: is not UTF-8 text; give a CSV file in UTF-8")
     comments, filled = _without_comments(lines, above)
     if not filled:
         raise DataError(f"{path}: is empty; expected a header line and rows of numbers")

@@ -38,6 +38,7 @@ _NEEDS: dict[str, tuple[str, ...]] = {
 }
 BOARD_KINDS = tuple(_NEEDS)
 _MOST = 100
+_LARGEST = 5.0  # largest side [m]; larger ones are numbers without their unit
 
 
 class Board(Section):
@@ -90,6 +91,8 @@ class Board(Section):
                 )
         if min(self.columns, self.rows) < 2 and self.kind not in ("aruco", "apriltag"):
             raise ValueError(f"a board of kind {self.kind} needs two or more columns and rows")
+        if max(self.size) > _LARGEST:
+            raise ValueError(f"the board would be {max(self.size):g} m wide; write the unit of its sizes, such as 30mm")
         if self.first_row == "bottom" and self.kind not in ("aruco", "apriltag"):
             raise ValueError("'first_row' is for boards of markers")
         if self.kind == "charuco" and not (self.marker or 0) < (self.square or 0):

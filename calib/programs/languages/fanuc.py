@@ -32,6 +32,7 @@ _WORDS = tokens.word_pattern(
 _SECTION = re.compile(r"^/(\w+)", re.MULTILINE)
 _CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 _POSE, _JOINTS = ("X", "Y", "Z", "W", "P", "R"), ("J1", "J2", "J3", "J4", "J5", "J6")
+_DECIMALS = 3  # of numbers in the text of controllers
 _TURNING = (0, 3, 4, 5)  # joints that CONFIG keeps within half a turn
 LANGUAGE, SUFFIXES = "FANUC LS", (".ls",)
 _CHANGED = ("TOOL_OFFSET", "OFFSET", "VOFFSET", "INC", "CV_TCP")
@@ -99,7 +100,7 @@ class _FanucPosition(Data):
         source, cells = self.code.source, []
         for start, (first, end), unit in (self.fields[name] for name in names):
             (cell,) = source.numbers([(first, end)], [MILLIMETRE if unit == "MM" else DEGREE])
-            decimals = len(source.text[first:end].partition(".")[2])
+            decimals = max(_DECIMALS, len(source.text[first:end].partition(".")[2]))
             cells.append(replace(cell, start=start, width=end - start, decimals=decimals))
         return tuple(cells)
 

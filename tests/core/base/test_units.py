@@ -52,6 +52,9 @@ def test_a_value_is_shown_in_the_unit_that_is_named(value, unit, expected):
     assert quantity_text(value, unit, ".6g") == f"{expected:.6g} {unit}"
 
 
+IMPLAUSIBLE = "is not plausible; write the unit after the number, such as"
+
+
 @pytest.mark.parametrize(
     ("value", "dimension", "message"),
     [
@@ -59,6 +62,8 @@ def test_a_value_is_shown_in_the_unit_that_is_named(value, unit, expected):
         ("1 mm", "angle", "here: unit 'mm' is for a length; an angle is expected (rad, deg, mrad, urad, arcsec)"),
         ("1 inch", "length", "here: unknown unit 'inch'; valid: m, mm, um"),
         ("1 degs", "angle", "here: unknown unit 'degs'; did you mean 'deg'?"),
+        (90, "angle", f"here: 90 rad {IMPLAUSIBLE} '90 deg': deg, or rad if it is right"),
+        ("-412.7", "length", f"here: -412.7 m {IMPLAUSIBLE} '-412.7 mm': mm, or m if it is right"),
     ],
 )
 def test_a_wrong_unit_is_an_error_with_the_valid_ones(value, dimension, message):

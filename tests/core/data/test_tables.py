@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from calib.core.base.errors import DataError
+from calib.core.base.units import check_plausible
 from calib.core.data.layouts import cells_of
 from calib.core.data.table_writing import format_table
-from calib.core.data.tables import check_plausible, read_table
+from calib.core.data.tables import read_table
 
 
 @pytest.fixture
@@ -68,6 +69,8 @@ def test_line_ends_of_every_system_are_read_and_odd_ones_inside_a_cell_are_none(
         ),
         ('# exported\na;b\n;;\n1;"2\n3";4\n', "line 4: is not CSV (unexpected end of data)"),
         (b"\xff\xfea\x00,\x00", "column 2 has no name in the header; name it, or remove it"),
+        ("a,b\n1,2\n".encode("utf-16-le"), "is not UTF-8 text; give a CSV file in UTF-8"),
+        ("a,b\n1,2\n".encode("utf-16-be"), "is not UTF-8 text; give a CSV file in UTF-8"),
         (bytes(range(128, 256)), "is not UTF-8 text; give a CSV file in UTF-8"),
     ],
 )
@@ -98,6 +101,17 @@ def test_semicolons_and_tabs_part_columns_and_leave_the_comma_for_decimals(table
 def test_commas_that_may_mean_something_else_are_errors_with_line_and_column(table_of, tmp_path, rows, message):
     table = table_of("a;b\n" + "".join(f"0;{cell}\n" for cell in rows))
     assert complaint(table.column, "b", "length") == f"{tmp_path / 'table.csv'}, {message}"
+
+
+@pytest.mark.parametrize("swap", [",.", ".,"])
+def test_thousands_are_told_from_decimals_by_the_other_columns(table_of, swap):
+    def table(other):
+        return table_of(f"pose;q [deg];x [mm]\n1{swap[1]}5;{other};1{swap[0]}793\n2;20;-919\n")
+
+    doubt = f"'1{swap[0]}793', but another column has '10{swap[1]}5'; write all decimals one way, and thousands without"
+    assert doubt in complaint(table(f"10{swap[1]}5").column, "x", "length")
+    for other in (f"10{swap[0]}5", "10"):
+        assert table(other).column("x", "length") == pytest.approx([0.001793, -0.919])
 
 
 @pytest.mark.parametrize(

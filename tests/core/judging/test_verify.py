@@ -383,6 +383,7 @@ ONE = f"{JOINTS}\n0,0,0.3,0,0.5,0\n"
         (ONE, ("--plan", "--change", "joint_3.ry="), "write NAME=SIZE"),
         (ONE, ("--plan", "--change", "joint_9.ry=1 deg"), "'joint_9.ry' is no parameter or joint zero"),
         (ONE, ("--plan", "--change", "joint_3.ry=1 mm"), "joint_3.ry"),
+        (ONE, ("--plan", "--change", "joint_3.ry=1"), "write the unit of the size, such as 1deg"),
         (ONE, ("--plan", "--change", "joint_3.ry=0 deg"), "is not a change"),
         (ONE, ("--plan", "--change", "base.x=1 mm"), "'base.x' is no parameter or joint zero"),
     ],

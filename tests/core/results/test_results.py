@@ -223,6 +223,17 @@ def test_a_damaged_result_is_an_error_and_never_another_robot(fitted, folder, tm
     assert all(re.fullmatch(r"[^\n]*fit\.npz: cannot be read [^\n]*; run the fit again", error) for error in errors)
 
 
+def test_arrays_that_do_not_belong_together_are_an_error(folder, tmp_path):
+    """As another program could write them back: the zip's check sums are right."""
+    shutil.copytree(folder, tmp_path / "out")
+    arrays = dict(np.load(folder / "fit.npz"))
+    visits = next(name for name, array in arrays.items() if array.dtype.kind == "i" and array.size)
+    arrays[visits] = arrays[visits] + 10**6
+    np.savez(tmp_path / "out" / "fit.npz", **arrays)
+    with pytest.raises(ComputationError, match="cannot evaluate the fit"):
+        _ = load_result(tmp_path / "out").fit
+
+
 def test_what_people_read_may_be_edited_or_lost(fitted, folder, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(folder, out)

@@ -5,7 +5,7 @@ import pytest
 
 import calib
 from calib.core.base.errors import InputError
-from calib.core.robots.description import read_description
+from calib.core.robots.description import description_yaml, read_description
 from tests.small_robots import ARM_URDF, ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 
 
@@ -26,6 +26,25 @@ def test_lengths_and_angles_may_carry_units(tmp_path):
     assert description.base.rpy == (np.pi / 2, 0.001, 0.25)
     assert description.sigma == 40e-6
     assert description.targets["tip"].xyz == (0.01, 0.02, 0.03)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[10 mm, 20 mm, 30 mm]", "[100, 20, 30]", "targets.tip.xyz[0]: 100 m is not plausible; write the unit after"),
+        ("base: {frame: ground}", "base: {frame: ground, rpy: [0, 90, 0]}", "base.rpy[1]: 90 rad is not plausible"),
+        ("urdf:", "home: {turn: 90}\nurdf:", "home.turn: 90 rad is not plausible; write the unit after the number"),
+    ],
+)
+def test_a_number_without_a_unit_that_cannot_be_si_is_refused(tmp_path, old, new, said):
+    assert complaint(write_arm(tmp_path, ARM_YAML.replace(old, new))).startswith(said)
+
+
+def test_a_long_length_reads_back(tmp_path):
+    path = write_arm(tmp_path, ARM_YAML.replace("{frame: ground}", "{frame: ground, xyz: [60 m, 0, 0]}"))
+    description = read_description(path)
+    path.write_text(description_yaml(description))
+    assert read_description(path) == description
 
 
 def test_yaml_anchors_and_merges_work(tmp_path):

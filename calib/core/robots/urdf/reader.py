@@ -175,6 +175,9 @@ class UrdfReader:
         if tag in ("parent", "child"):
             joint[tag] = self._require(attributes, "link", f"<{tag}> of {where}")
         elif tag == "origin":
+            unread = next((key for key in attributes if key not in ("xyz", "rpy") and ":" not in key), None)
+            if unread is not None:
+                raise self._error(f"<origin> of {where} has '{unread}', which is not read; write it as xyz and rpy")
             joint["origin_span"] = self._span()
             joint["xyz"] = self._triple(attributes.get("xyz", "0 0 0"), f"{where}, xyz")
             joint["rpy"] = self._triple(attributes.get("rpy", "0 0 0"), f"{where}, rpy")

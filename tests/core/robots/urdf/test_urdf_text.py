@@ -130,6 +130,7 @@ FIXED = JOINT.format("fixed", "")
         (TWO.format(JOINT.format("fixed", '<origin xyz="0 0 1_0"/>')), "'1_0' is not a number"),
         (TWO.format(JOINT.format("fixed", '<origin xyz="0\u00a00 1"/>')), "is not a number"),
         (TWO.format(JOINT.format("fixed", '<origin rpy="0 0 ${pi}"/>')), "xacro expression; run xacro"),
+        (TWO.format(JOINT.format("fixed", '<origin quat_xyzw="0 0 1 0"/>')), "has 'quat_xyzw', which is not read"),
         (TWO.format(JOINT.format("fixed", '<origin xyz="0 0 1"/><origin/>')), "joint 'j' has two <origin>"),
         (TWO.format(JOINT.format("revolute", '<axis xyz="0 0 0"/>')), "axis has no direction"),
         (TWO.format(JOINT.format("fixed", '<mimic joint="k"/>')), "mimics no joint 'k'"),

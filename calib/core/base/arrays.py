@@ -80,13 +80,12 @@ def numbers_in(given: ArrayLike, what: str) -> FloatArray:
     """
     try:
         array = np.ma.asarray(given) if isinstance(given, np.ma.MaskedArray) else np.asarray(given)
-        if np.iscomplexobj(array):
-            raise TypeError("numbers with an imaginary part")
-        return np.asarray(np.ma.filled(array.astype(float), np.nan))
+        if not np.iscomplexobj(array):
+            return np.asarray(np.ma.filled(array.astype(float, copy=False), np.nan))
     except (TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{what}: expected numbers, not {given!r:.60}") from None
+    raise InputError(f"{what}: expected numbers, not {given!r:.60}")
 
 
 class NamedRows(np.ndarray[Any, np.dtype[np.float64]]):

@@ -46,6 +46,7 @@ from calib.shared.candidates import (
     assumed_sigma,
     positions_at,
     require_free,
+    require_poses,
     rows_as_stated,
     rows_of_poses,
 )
@@ -209,12 +210,13 @@ def check(
 
     Raises:
         InputError: `robot` is not a robot.
-        DataError: Fewer measured coordinates than free parameters without a prior.
+        DataError: No poses, or fewer measured coordinates than free parameters without a prior.
         UnreachablePoseError: A pose cannot be assembled.
     """
     robot, sigma = as_robot(robot), sigma_in_si(sigma)
     require_free(robot)
     poses = sample(robot, _SAMPLED) if poses is None else as_poses(robot, poses)
+    require_poses(poses)
     task = None if task is None else as_poses(robot, task)
     outside_families = np.array([not p.family for p in robot.parameters])
     parameters, free = tuple(p for p in robot.parameters if not p.family), robot.is_free[outside_families]

@@ -136,7 +136,7 @@ def select(
 
     Raises:
         InputError: An argument is wrong; count above the candidates, or too small for the parameters.
-        DataError: Two candidates are equal.
+        DataError: No candidates, or two are equal.
         UnreachablePoseError: Candidates cannot be assembled.
         NotIdentifiableError: No choice determines the directions of the index.
     """

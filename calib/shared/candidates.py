@@ -74,6 +74,12 @@ def require_free(robot: Robot) -> None:
         raise InputError(f"{robot.path}: held: names every parameter, so there is nothing to identify; free some")
 
 
+def require_poses(poses: Poses) -> None:
+    """Raise `DataError` if there are no poses."""
+    if not len(poses):
+        raise DataError(f"{poses.path}: there are no poses; give at least one")
+
+
 def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     """Return the noise of one measured position per axis [m] and whether some noise is only assumed.
 
@@ -163,7 +169,9 @@ def _positions(
     position_instruments = {
         instrument.target: instrument.name
         for instrument in robot.instruments
-        if isinstance(instrument, Position) and np.array_equal(data.readings[instrument.name].visits, np.arange(n))
+        if isinstance(instrument, Position)
+        and instrument.name in data.readings
+        and np.array_equal(data.readings[instrument.name].visits, np.arange(n))
     }
     if set(position_instruments) == set(robot.target_names):
         names = [position_instruments[target] for target in robot.target_names]
@@ -188,10 +196,11 @@ def build_candidates(
     """Assemble candidates and compute their rows.
 
     Raises:
-        DataError: A pose is given twice.
+        DataError: There are no poses, or one is given twice.
         UnreachablePoseError: Poses cannot be assembled or are next to a singularity of the loops, and are not to be
             skipped.
     """
+    require_poses(poses)
     _require_different(poses)
     n, n_targets, unknowns = len(poses), len(robot.target_names), Unknowns.chosen_by_poses(robot)
     blocks = blocks_of(robot, planned_readings(robot, poses))

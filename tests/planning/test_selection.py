@@ -194,6 +194,12 @@ def test_bad_arguments_are_one_clear_line(medrue, arguments, words):
         select(medrue, Q, **({"count": 84} | arguments))
 
 
+@pytest.mark.parametrize("use", [lambda robot: select(robot, Q[:0], 3), lambda robot: calib.check(robot, Q[:0])])
+def test_no_poses_are_one_clear_line(medrue, use):
+    with pytest.raises(calib.DataError, match="there are no poses; give at least one"):
+        use(medrue)
+
+
 def test_poses_next_to_a_singularity_are_named_too(medrue):
     strict = medrue.description.model_copy(update={"singularity_limit": 0.08})
     careful = replace(medrue, description=strict)

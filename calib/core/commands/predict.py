@@ -64,7 +64,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
         known_here = float(np.sqrt(np.mean(predicted.reported_distance**2)))
         content["expected"], expected = _expected_error(calibrated.verdict.claim, known_here)
         content["beyond_curves"] = beyond = calibrated.remarks_beyond_curves(poses)
-        remarks = remarks + beyond + _unknown_sides(model, poses)
+        remarks = remarks + beyond + _unknown_conditions(model, poses)
     else:
         text = format_positions(model, poses, model.positions(poses.joints, poses.conditions), comment)
     output.write(out, text)
@@ -80,16 +80,24 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     output.json(content)
 
 
-def _unknown_sides(robot: Robot, poses: Poses) -> list[str]:
-    """Return a remark on joints with backlash, if the poses do not state from which side these came."""
-    terms = [term for term in robot.terms if Condition.APPROACH in term.depends_on]
-    if poses.approach is not None or not terms:
-        return []
-    columns = listing([f"{APPROACH}{term.joint}" for term in terms])
-    return [
-        f"{poses.path}: states no directions of approach; positions are in the middle of the backlash, and their"
-        f" uncertainty counts it. If the directions are known, add {columns} (+1 or -1)"
-    ]
+def _unknown_conditions(robot: Robot, poses: Poses) -> list[str]:
+    """Return remarks on conditions that joint terms depend on, and that the poses do not state.
+
+    A load is none of them: terms depend on it where none is carried, too.
+    """
+    remarks, needed = [], {condition for term in robot.terms for condition in term.depends_on}
+    sides = [f"{APPROACH}{term.joint}" for term in robot.terms if Condition.APPROACH in term.depends_on]
+    if sides and poses.approach is None:
+        remarks.append(
+            f"{poses.path}: states no directions of approach; positions are in the middle of the backlash, and their"
+            f" uncertainty counts it. If the directions are known, add {listing(sides)} (+1 or -1)"
+        )
+    columns = sorted(condition.column for condition in needed - {Condition.LOAD} if condition.column)
+    absent = [column for column in columns if column not in poses.context]
+    if absent:
+        taken = [f"{column} {'20 degC' if column == Condition.TEMPERATURE.column else '0'}" for column in absent]
+        remarks.append(f"{poses.path}: has no column {listing(absent)}; positions are those at {listing(taken)}")
+    return remarks
 
 
 def _expected_error(claim: Claim | None, known: float) -> tuple[dict[str, float] | None, str]:

@@ -36,11 +36,12 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.core.base.arrays import BoolArray, FloatArray, IntArray
+from calib.core.base.arrays import BoolArray, FloatArray, IntArray, numbers_in
 from calib.core.base.errors import InputError, nearest
 from calib.core.base.units import DISPLAY_UNIT, quantity_text
 from calib.core.data.in_memory import as_poses
 from calib.core.data.measurements import Poses, directions_of_motion
+from calib.core.data.tables import is_source
 from calib.core.robots.acceleration import compile_for
 from calib.core.robots.closure import motion
 from calib.core.robots.joint_errors import actual_joints, term_columns
@@ -174,7 +175,8 @@ def compensate(
         raise InputError(f"keep '{keep}'{nearest(keep, KEEP)}")
     if keep is not None and isinstance(program, Goals):
         raise InputError("keep: is for programs of joints, not of poses or positions; leave it out")
-    shape = () if isinstance(program, (Goals, Poses)) else np.shape(program)
+    is_array = not (isinstance(program, (Goals, Poses)) or is_source(program))
+    shape = numbers_in(cast(ArrayLike, program), "program").shape if is_array else ()
     if shape[-2:] == (4, 4) and (len(shape) == 3 or len(known.robot.joint_names) != 4):
         program = goals_of_poses(cast(ArrayLike, program))
     if not isinstance(program, Goals):

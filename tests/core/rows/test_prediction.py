@@ -75,6 +75,24 @@ def test_where_the_side_of_a_backlash_is_unknown_positions_are_as_uncertain_as_b
     assert "add approach_j2, approach_j4 (+1 or -1)" in " ".join((run.out + run.err).split())
 
 
+def test_predict_says_at_which_temperature_and_time_positions_are_if_poses_do_not(tmp_path, run_calib):
+    terms = "".join(f"  - {{joint: j2, term: {term}}}\n" for term in ("temperature", "drift"))
+    arm, named, rng = calib.load(write_six_axis(tmp_path, YAML + FREE + terms)), tuple(map(str, range(80))), 3
+    context = {"temperature": np.linspace(20.0, 30.0, 80)[::-1] ** 1.5 / 5.0, "time": np.arange(80.0)}
+    poses = calib.Poses(joints(80, 1), named, named, "simulated", (), context=context)
+    calib.fit(arm, calib.simulate(arm, poses, SIGMA, rng)).save(tmp_path / "out", force=True, pages=False)
+    for columns, words in (
+        ((), "temperature, time; positions are those at temperature 20 degC, time 0"),
+        (("time [s]",), "temperature;"),
+    ):
+        header, rows = [f"j{k} [rad]" for k in range(1, 7)], joints(4, seed=5)
+        table = write_table(
+            tmp_path / "poses.csv", [*header, *columns], np.column_stack([rows, *[np.ones(4)] * len(columns)])
+        )
+        run = run_calib("predict", arm.path, table, "--result", tmp_path / "out", "--out", tmp_path / "new.csv")
+        assert f"has no column {words}" in " ".join((run.out + run.err).split())
+
+
 def test_the_summary_names_mean_rms_largest_and_the_worst_pose(fit):
     prediction = fit.predict(np.vstack([joints(10, seed=5), 2.9 * np.ones((1, 6))]))
     distance = 1e3 * np.sqrt(np.trace(prediction.covariance[:, 0], axis1=1, axis2=2))

@@ -212,7 +212,7 @@ def _with_header(lines: Sequence[str], first: int, header: Sequence[str]) -> lis
     for line in lines[first:]:
         cells = cells_of(line)
         cells = cells if any(cells[width:]) else cells[:width]
-        is_row = _numbers(cells) > (len(cells) != width)
+        is_row = _numbers(cells) >= (1 if len(cells) == width else 2)
         rows.append(_join_cells(cells) if is_row else f"# {line}" if line.strip() else "")
     return [*(f"# {line}" for line in lines[: first - 1]), _join_cells(header), *rows]
 

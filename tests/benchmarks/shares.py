@@ -26,7 +26,12 @@ OF_FIT = {
     "uncertainty": "uncertainty_at",
 }
 """Parts of a fit, and their functions in `calib.core.fitting.fit`."""
-OF_VERDICT = {"patterns": ("systematic",), "scales": ("lengths_scaled", "joints_scaled"), "loops": ("check_solution",)}
+OF_VERDICT = {
+    "patterns": ("systematic",),
+    "scales": ("lengths_scaled", "joints_scaled"),
+    "loops": ("check_solution",),
+    "reach": ("check_joint_motion",),
+}
 """Parts of a verdict, and their rules."""
 
 

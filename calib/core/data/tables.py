@@ -13,6 +13,7 @@ import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol, SupportsIndex, TypeGuard, cast
 
@@ -191,17 +192,23 @@ class Table:
         doubtful = next((k for k, cell in enumerate(cells) if _LIKE_THOUSANDS.fullmatch(cell.strip())), None)
         if doubtful is None:
             return
-        other = "." if "," in cells[doubtful] else ","
-        columns = [column for column, unit in enumerate(self.units) if unit]
-        marked = (row[column].strip() for column in columns for row in self.rows if other in row[column])
-        decimal = next(
-            (text for text in marked if _DECIMAL.fullmatch(text) and not _LIKE_THOUSANDS.fullmatch(text)), ""
-        )
+        decimal = self._decimals["." if "," in cells[doubtful] else ","]
         if decimal:
             raise DataError(
                 f"{self.where(doubtful, name)}: '{cells[doubtful].strip()}', but another column has '{decimal:.60}';"
                 " write all decimals one way, and thousands without a mark"
             )
+
+    @cached_property
+    def _decimals(self) -> dict[str, str]:
+        """For the marks `.` and `,`, a number with a unit in which it is a decimal mark; empty if there is none."""
+        columns = [column for column, unit in enumerate(self.units) if unit]
+        found = {}
+        for mark in ".,":
+            marked = (row[column].strip() for column in columns for row in self.rows if mark in row[column])
+            sure = (text for text in marked if _DECIMAL.fullmatch(text) and not _LIKE_THOUSANDS.fullmatch(text))
+            found[mark] = next(sure, "")
+        return found
 
     def where(self, row: SupportsIndex, name: str = "") -> str:
         """Return the place of a row, or of its cell in a column, for messages."""

@@ -399,7 +399,6 @@ class ParameterUncertainty(ReadOnlyArrays):
         """
         context = Context.neutral(*q.shape) if context is None else context
         further, free, shape = self._further(robot), len(self.covariance), (len(q), len(robot.mechanism.targets), 3)
-        counts = np.ones(len(further), dtype=bool) if counts is None else counts
         points = np.empty(shape)
         whole, without_common = ([np.empty((*shape, 3)) for _ in ROWS[: 1 + turns]] for _ in range(2))
         for start in range(0, len(q), CHUNK):
@@ -407,13 +406,14 @@ class ParameterUncertainty(ReadOnlyArrays):
             seed = None if near is None else near[some]
             with compile_for(len(q), many(robot.mechanism)):
                 linear = self.linearise(robot, q[some], context.select(some), seed, turns=turns)
-            points[some], jacobian = linear.positions, linear.jacobian * counts
+            points[some] = linear.positions
+            jacobian = linear.jacobian if counts is None else linear.jacobian * counts
             to_one_side = self._motion_to_one_side(robot, linear, q[some], context.select(some), turns=turns)
             flat = jacobian.reshape(-1, len(further))
             by_free, by_further = flat[:, :free] @ self.covariance, flat @ further  # the covariance is read once
             parts = [[array.reshape(*jacobian.shape[:3], -1) for array in (flat[:, :free], by_free, by_further)]]
             if common is not None:
-                motion, following = common[0], common[1] * counts
+                motion, following = common[0], common[1] if counts is None else common[1] * counts
                 columns = motion.columns(*target_poses(linear.robot, linear.configurations))[:, :, : jacobian.shape[2]]
                 followed = (following[:, :free], following[:, :free] @ self.covariance, following @ further)
                 parts.append([array - columns @ of for array, of in zip(parts[0], followed, strict=True)])

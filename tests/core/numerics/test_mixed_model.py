@@ -207,7 +207,7 @@ def test_a_search_ends_at_the_minimum_where_its_first_steps_are_too_long():
 
 
 def test_a_small_size_at_its_minimum_keeps_no_other_from_zero():
-    """The search begins beside the minimum of the first family, above zero of the second, which is not there."""
+    """The search begins near the minimum of the first family, above zero of the second, which is not there."""
     rng = np.random.default_rng(0)
     columns = np.linalg.qr(rng.normal(size=(200, 25)))[0] * np.repeat([400.0, 3.0, 10.0], [12, 12, 1])
     values = columns @ np.concatenate([0.02 * rng.standard_normal(12), np.zeros(12), [1.0]]) + rng.standard_normal(200)
